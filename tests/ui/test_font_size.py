@@ -2,6 +2,7 @@
 
 import pytest
 from napari._qt.qt_resources import get_stylesheet
+from napari.components import ViewerModel
 from qtpy.QtCore import QPoint
 from qtpy.QtWidgets import (
     QAbstractButton,
@@ -13,9 +14,9 @@ from qtpy.QtWidgets import (
     QToolButton,
 )
 
+from napari_hmrf.ui.soft_tissue import SoftTissue
 from tests.support.docks import quick
 from tests.support.screen import Screen
-from tests.support.windowless import Frame
 
 #: Height of a window on a small screen, in pixels.
 _HEIGHT = 700
@@ -24,10 +25,12 @@ _HEIGHT = 700
 @pytest.fixture
 def dock(qtbot, small_sample, at_rest):
     """Return a new dock with all sections open, as narrow as possible, on a small screen."""
-    frame = Frame(qtbot)
-    small_sample(frame.viewer)
-    made = quick(frame.open())
-    frame.show()
+    viewer = ViewerModel()
+    small_sample(viewer)
+    made = quick(SoftTissue(viewer))
+    qtbot.addWidget(made.native)
+    with qtbot.waitExposed(made.native):
+        made.native.show()
     for section in made._form.sections.values():
         section.expand(animate=False)
     at_rest.until(lambda: not made.busy)

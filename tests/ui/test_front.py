@@ -58,12 +58,13 @@ def test_a_new_dock_selects_the_image_that_is_selected_or_the_topmost_visible_im
     assert new_dock(viewer).image is lower, "the image with a drawing was deselected"
 
 
-def test_a_new_dock_selects_the_image_with_a_result(new_dock, small_sample, run, settle):
-    viewer = ViewerModel()
-    lower, *_ = small_sample(viewer)
-    run(quick(new_dock(viewer)))
-    viewer.add_image(LARGER, name="astronaut", rgb=True)
-    second = new_dock(viewer)
+def test_a_new_dock_selects_the_image_with_a_result(frame, small_sample, run, settle):
+    first = quick(frame.open())
+    lower, *_ = small_sample(frame.viewer)
+    run(first)
+    frame.close(first)
+    frame.viewer.add_image(LARGER, name="astronaut", rgb=True)
+    second = frame.open()
     assert second.image is lower
     settle(second)
     assert second.solution is not None

@@ -19,7 +19,6 @@ from tests.support.docks import dock_in, forget_choice, quick, viewer_of
 from tests.support.person import CTRL, Person
 from tests.support.screen import Cell, Screen
 from tests.support.timeouts import LONG, LONG_MS
-from tests.support.windowless import Frame
 
 
 def names(widget):
@@ -337,8 +336,7 @@ def test_a_press_of_deform_during_a_solve_does_not_restore_an_older_result(
 # Painting with a mouse
 
 
-def test_two_viewers_have_independent_docks(widget, qtbot, small_sample, settle, run):
-    frame = Frame(qtbot)
+def test_two_viewers_have_independent_docks(widget, frame, small_sample, settle, run):
     one, other = widget, quick(frame.open())
     for dock in (one, other):
         small_sample(viewer_of(dock))

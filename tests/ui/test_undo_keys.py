@@ -6,10 +6,11 @@ from napari.layers import Vectors
 from qtpy.QtCore import Qt
 
 from napari_hmrf.layers.viewer_undo import undo_of
+from napari_hmrf.ui.soft_tissue import SoftTissue
 from tests.support.docks import quick
 from tests.support.person import CTRL, SHIFT
 from tests.support.screen import Screen
-from tests.support.windowless import Frame, Touch
+from tests.support.windowless import Touch
 
 Z = Qt.Key.Key_Z
 
@@ -66,22 +67,27 @@ def test_undo_keys_of_a_deleted_owner_are_released():
     assert not viewer.keymap
 
 
-def test_undo_keys_and_earlier_paint_belong_to_all_docks_that_are_open(
-    qtbot, small_sample, at_rest
-):
-    frame = Frame(qtbot)
-    viewer = frame.viewer
+def test_paint_from_before_the_dock_is_undone_after_later_edits(qtbot, small_sample, at_rest):
+    viewer = ViewerModel()
     _, tissue, _ = small_sample(viewer)
     clean = tissue.data.copy()
     tissue.paint((5, 5), 3)
-    first, second = quick(frame.open()), quick(frame.open())
+    dock = SoftTissue(viewer)
+    qtbot.addWidget(dock.native)
+    quick(dock)
     at_rest()
     viewer.layers.selection.active = tissue
     tissue.paint((12, 12), 3)
-    first.undo()
+    dock.undo()
     assert (tissue.data != clean).any()
-    first.undo()
-    assert (tissue.data == clean).all(), "paint from before the dock was not undone"
+    dock.undo()
+    assert (tissue.data == clean).all()
+
+
+def test_undo_keys_remain_bound_while_one_of_two_docks_is_open(frame, small_sample):
+    viewer = frame.viewer
+    _, tissue, _ = small_sample(viewer)
+    first, second = quick(frame.open()), quick(frame.open())
     keys = {each for each in viewer.keymap if str(each) in ("Ctrl+Z", "Ctrl+Shift+Z")}
     assert len(keys) == 2
     frame.close(second)

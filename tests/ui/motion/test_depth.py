@@ -14,7 +14,6 @@ from tests.support.person import only
 from tests.support.pulling import pull_volume
 from tests.support.screen import Screen
 from tests.support.timeouts import LONG_MS
-from tests.support.windowless import Frame, Touch
 
 SHAPE, SCALE = (20, 24, 28), (2.0, 1.0, 1.0)
 MIDDLE = (19.0, 11.5, 13.5)
@@ -209,16 +208,20 @@ def test_slices_of_another_study_do_not_show_through_a_volume_in_the_3d_view(bes
     assert other.visible
 
 
-def test_the_image_is_visible_again_after_the_dock_was_closed_in_the_3d_view(qtbot, settle):
-    frame = Frame(qtbot)
-    layer = frame.viewer.add_image(head(), name="MR", scale=SCALE)
-    widget = frame.open()
-    person, _ = pull_volume(Touch(frame.viewer, frame), widget, settle, ndisplay=3)
+def test_a_closed_dock_shows_the_image_in_the_3d_view_and_leaves_no_stiffness_layer(beside, settle):
+    person, widget = beside
+    layers = person.viewer.layers
+    layer = layers["MR"]
+    widget.tissue_from_intensity()
+    assert any("stiffness" in each.name for each in layers)
+    Screen(widget).press("Pull")
+    settle(widget)
     person.drag(MIDDLE, (MIDDLE[0], 13.5, 13.5))
     settle(widget)
     assert not layer.visible
-    frame.close(widget)
+    person.frame.close(widget)
     assert layer.visible
+    assert not any("stiffness" in each.name for each in layers)
 
 
 def test_the_status_bar_describes_the_visible_surface_in_the_3d_view(beside, settle):

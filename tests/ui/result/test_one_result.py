@@ -16,7 +16,7 @@ from napari_hmrf.ui.motion.motion_messages import START
 from napari_hmrf.ui.motion.tools import TOOLS
 from tests.support.person import CTRL
 from tests.support.screen import Screen
-from tests.support.windowless import Frame, Touch
+from tests.support.windowless import Touch
 
 
 def without_live_mode(dock):
@@ -298,9 +298,8 @@ def test_the_result_of_the_displayed_slice_is_selected(frame, small_sample, run,
 
 
 def test_a_reopened_dock_continues_with_results_tables_and_edits_made_meanwhile(
-    qtbot, small_sample, run, settle, at_rest
+    frame, small_sample, run, settle, qtbot, at_rest
 ):
-    frame = Frame(qtbot)
     viewer = frame.viewer
     small_sample(viewer, (48, 64))
     first = without_live_mode(frame.open())

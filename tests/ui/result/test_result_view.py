@@ -29,7 +29,7 @@ from napari_hmrf.ui.result.cursor import stiffness_of
 from napari_hmrf.ui.result.result_messages import how_far
 from tests.support.docks import quick, viewer_of
 from tests.support.person import SHIFT
-from tests.support.windowless import Frame, Touch
+from tests.support.windowless import Touch
 
 
 def names(viewer):
@@ -841,9 +841,8 @@ def test_removing_the_arrows_shows_that_they_contain_the_result(look, run, wait_
 
 
 def test_a_closed_dock_restores_the_full_motion_and_adds_no_status_until_it_is_opened_again(
-    qtbot, small_sample, run, set_to, wait_for, at_rest
+    frame, small_sample, run, set_to, wait_for, at_rest
 ):
-    frame = Frame(qtbot)
     viewer, look = frame.viewer, quick(frame.open())
     small_sample(viewer)
     run(look)
