@@ -4,6 +4,7 @@ import os
 import re
 import runpy
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,7 +18,6 @@ from napari_hmrf.io.study_file import read_study
 from napari_hmrf.samples import selftest
 from napari_hmrf.solver.backends.compile_cache.sets import EVERYTHING, VOLUMES
 from napari_hmrf.solver.optimizers import Monitor
-from tests.support.timeouts import LONG_MS
 
 #: Rows of the table that compare a sample with a finite-element field.
 FEM, OTHER = "RMSD from FEM, nu 0.3", "with another material"
@@ -329,20 +329,31 @@ def test_the_commands_print_their_version(capsys, monkeypatch):
     assert nothing.value.code == 2
 
 
-@pytest.mark.usefixtures("unstyled", "without_controls")
-def test_the_demo_opens_its_result_in_napari_on_a_display(
-    tmp_path, make_napari_viewer, qtbot, monkeypatch
-):
+@pytest.fixture
+def opened(frame, monkeypatch):
+    """Return the docks that a command opens in napari, and the viewer, which has no window."""
     import napari
 
-    viewer = make_napari_viewer()
+    docks = []
+
+    def add_dock(plugin, name):
+        docks.append(frame.open())
+        return None, docks[-1]
+
+    window = SimpleNamespace(add_plugin_dock_widget=add_dock)
+    stand_in = SimpleNamespace(add_layer=frame.viewer.add_layer, window=window)
     monkeypatch.setattr(cli, "_has_display", lambda: True)
-    monkeypatch.setattr(napari, "Viewer", lambda: viewer)
+    monkeypatch.setattr(napari, "Viewer", lambda: stand_in)
     monkeypatch.setattr(napari, "run", lambda: None)
+    return docks, frame.viewer
+
+
+def test_the_demo_opens_its_result_in_napari_on_a_display(tmp_path, opened, wait_for):
+    docks, viewer = opened
     options = ("--model", "elastic", "--poisson", "0.3", "--plane", "strain")
     assert demo(tmp_path, "--size", "48", "--phantom", "mass-effect", *options) == 0
-    (widget,) = viewer.window.dock_widgets.values()
-    qtbot.waitUntil(lambda: widget.idle, timeout=LONG_MS)
+    (widget,) = docks
+    wait_for(lambda: widget.idle)
     assert widget.solution.displacement.shape == (48, 48, 2)
     prior = widget.solution.provenance.parameters["prior"]
     assert (prior["name"], prior["poisson"], prior["plane"]) == ("ElasticPrior", 0.3, "strain")
@@ -433,18 +444,9 @@ def test_the_volume_demo_refuses_options_without_effect_before_it_starts(
     assert not printed.out
 
 
-@pytest.mark.usefixtures("unstyled", "without_controls")
-def test_the_volume_demo_opens_the_deformed_volume_in_napari(
-    tmp_path, make_napari_viewer, qtbot, monkeypatch
-):
-    import napari
-
-    viewer = make_napari_viewer()
-    monkeypatch.setattr(cli, "_has_display", lambda: True)
-    monkeypatch.setattr(napari, "Viewer", lambda: viewer)
-    monkeypatch.setattr(napari, "run", lambda: None)
+def test_the_volume_demo_opens_the_deformed_volume_in_napari(tmp_path, opened, wait_for):
     assert demo(tmp_path, "--volume", "--size", "24") == 0
-    (widget,) = viewer.window.dock_widgets.values()
-    qtbot.waitUntil(lambda: widget.idle, timeout=LONG_MS)
+    ((widget,), _) = opened
+    wait_for(lambda: widget.idle)
     assert widget.extent == "volume"
     assert widget.solution.displacement.shape == (19, 24, 19, 3)

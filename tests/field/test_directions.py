@@ -11,7 +11,6 @@ from napari_hmrf.layers.metadata import BOUNDARY, layer_metadata
 from napari_hmrf.layers.screen_directions import directions_of
 from napari_hmrf.layers.slice_view import View, frame_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
-from napari_hmrf.ui.soft_tissue import SoftTissue
 from tests.support.screen import head
 
 TURNED = {"affine": [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]}  # rows to the left, columns down
@@ -173,23 +172,18 @@ def test_slice_numbers_match_the_slider():
     assert frame_of(spaced, View.of(viewer.dims)).slice_seen == "slice 3"
 
 
-def test_the_message_about_a_slice_without_paint_uses_the_slider_number(qtbot):
-    viewer = ViewerModel()
+def test_the_message_about_a_slice_without_paint_uses_the_slider_number(widget):
+    viewer = widget._viewer
     place = {"scale": (-1, -1, -1)}
     viewer.add_image(np.random.default_rng(0).random((9, 20, 30)), name="t1", **place)
-    widget = SoftTissue(viewer)
-    qtbot.addWidget(widget.native)
     widget.make_layers()
     viewer.dims.set_current_step(0, 4)
     widget.deform()
     assert "no paint in slice 4" in widget.status
 
 
-def test_the_status_without_an_image_does_not_mention_a_disabled_button(qtbot):
-    viewer = ViewerModel()
-    viewer.add_vectors(np.ones((3, 2, 2)))
-    widget = SoftTissue(viewer)
-    qtbot.addWidget(widget.native)
+def test_the_status_without_an_image_does_not_mention_a_disabled_button(widget):
+    widget._viewer.add_vectors(np.ones((3, 2, 2)))
     assert not widget._form.make.enabled
     assert "Make layers" not in widget.status
     assert widget.status.startswith("Choose an image above, or open one")

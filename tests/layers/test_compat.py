@@ -66,18 +66,6 @@ def test_the_direction_at_the_cursor_is_private_and_defaults_to_that_of_the_came
     assert not hasattr(viewer.cursor, "view_direction"), "napari has made the direction public"
 
 
-@pytest.mark.parametrize("kind", [Image, Labels])
-def test_a_hidden_volume_can_be_added_to_a_3d_view(unstyled, make_napari_viewer, kind):
-    viewer = make_napari_viewer()
-    viewer.dims.ndisplay = 3
-    layer = kind(np.ones((3, 4, 5), np.uint8), visible=False)
-    compat.slice_hidden(viewer, layer)
-    viewer.add_layer(layer)
-    assert not layer.visible
-    assert viewer.dims.ndisplay == 3
-    layer.visible = True
-
-
 def test_the_brush_circle_has_no_public_overlay():
     viewer = ViewerModel()
     compat.clear_middle(viewer)
@@ -89,29 +77,6 @@ def test_the_brush_circle_has_no_public_overlay():
     compat.clear_middle(viewer)
     assert not circle.box
     assert not [name for name in viewer.canvas.overlays if name in ("brush_circle", "brush")]
-
-
-def corner_with_circle(viewer):
-    """Return a picture of the corner of the canvas with napari's circle, before a mouse move."""
-    viewer.mouse_over_canvas = True
-    viewer.cursor.size = 20
-    viewer.cursor.style = "circle"
-    return viewer.screenshot(canvas_only=True, flash=False)[:30, :30, :3]
-
-
-def test_the_brush_circle_is_hidden_until_the_mouse_moves(make_napari_viewer):
-    viewer = make_napari_viewer(show=True)
-    if not hasattr(viewer, "canvas"):
-        return
-    assert np.ptp(corner_with_circle(viewer)) > 100, (
-        "napari hides the circle, so hide_circle_in_corner can be removed"
-    )
-    compat.hide_circle_in_corner(viewer)
-    assert np.ptp(corner_with_circle(viewer)) < 10
-    circle = viewer.canvas.overlays._brush_circle
-    circle.position = (12, 20)
-    compat.hide_circle_in_corner(viewer)
-    assert tuple(circle.position) == (12, 20), "the circle was moved away from the mouse"
 
 
 def test_napari_has_no_public_list_of_undoable_paint():
@@ -145,16 +110,25 @@ def test_a_thumbnail_of_vectors_has_no_public_limit(monkeypatch):
     assert public_names_with(layer, "thumbnail") == ["thumbnail"], "check for a public way"
 
 
-def test_the_window_has_no_public_access_to_the_node_of_a_layer(make_napari_viewer):
+def test_nodes_of_layers_are_found_outlined_and_faded_in_a_window(unstyled, make_napari_viewer):
     viewer = make_napari_viewer()
-    layer = viewer.add_vectors(np.array([[[0.0, 0.0], [4.0, 4.0]]]))
+    data = np.array([[[0.0, 0.0], [4.0, 4.0]]])
+    layer = viewer.add_vectors(data, vector_style="arrow")
     mesh = compat.drawn_node(viewer, layer)
     assert compat.drawn_node(ViewerModel(), layer) is None
     assert compat.drawn_node(viewer, Vectors(ndim=2)) is None
-    # `qt_viewer` was deprecated before a replacement existed.
-    assert set(public_names_with(viewer.window, "canvas", "viewer")) <= {"qt_viewer"}, (
-        "check for a public way"
-    )
+
+    def corners():
+        return len(mesh.mesh_data.get_vertices())
+
+    assert corners() == 7, "napari draws the outline, so outline_arrows can be removed"
+    compat.outline_arrows(viewer, layer)
+    assert corners() == 14
+    layer.vector_style = "line"
+    assert corners() == 8
+    layer.vector_style = "triangle"
+    assert corners() == 3
+    compat.outline_arrows(ViewerModel(), layer)  # without a window, nothing is drawn
 
     one, each = np.zeros(4, np.float32), np.zeros((3, 4), np.float32)
 
@@ -170,31 +144,19 @@ def test_the_window_has_no_public_access_to_the_node_of_a_layer(make_napari_view
     assert reuses_program(each)
     values = np.zeros((3, 1), np.float32)
     assert not reuses_program(values), "the function contains the limits of the values"
-    layer.data = np.array([[[1.0, 1.0], [4.0, 4.0]]])
     assert not compat.compile_once(None)
     assert not compat.compile_once(object())
 
-
-def test_arrows_and_lines_have_an_outline_in_the_window(make_napari_viewer):
-    viewer = make_napari_viewer()
-    data = np.array([[[0.0, 0.0], [4.0, 4.0]]])
-    layer = viewer.add_vectors(data, vector_style="arrow")
-
-    def corners():
-        return len(compat.drawn_node(viewer, layer).mesh_data.get_vertices())
-
-    assert corners() == 7, "napari draws the outline, so outline_arrows can be removed"
-    assert public_names_with(layer, "outline", "border", "head") == [], "check for a public way"
-    compat.outline_arrows(viewer, layer)
-    assert corners() == 14
-    layer.vector_style = "line"
-    assert corners() == 8
-    layer.vector_style = "triangle"
-    assert corners() == 3
-    compat.outline_arrows(ViewerModel(), layer)  # without a window, nothing is drawn
+    image = viewer.add_image(np.eye(8), opacity=0.5)
+    compat.fade(viewer, image, 0.2)
+    assert image.opacity == 0.5
+    assert compat.drawn_node(viewer, image).opacity == pytest.approx(0.1)
+    compat.fade(viewer, image, 1.0)
+    assert compat.drawn_node(viewer, image).opacity == 0.5
+    compat.fade(ViewerModel(), image, 0.2)  # without a window, nothing is drawn
 
 
-def test_the_row_of_a_helper_layer_stays_hidden_in_the_layer_list(make_napari_viewer):
+def test_layers_are_hidden_in_the_list_and_added_hidden_to_a_3d_view(unstyled, make_napari_viewer):
     viewer = make_napari_viewer()
     names = ["a", "helper", "b"]
     first, helper, last = (viewer.add_image(np.eye(4), name=name) for name in names)
@@ -213,24 +175,19 @@ def test_the_row_of_a_helper_layer_stays_hidden_in_the_layer_list(make_napari_vi
     viewer.layers.remove(first)
     assert listed() == ["b", "c"]
     assert helper in viewer.layers
-    assert public_names_with(helper, "group", "listed") == [], "check for a public way"
     compat.hide_in_list(ViewerModel(), last)  # without a window, there is no list
-
-
-def test_a_layer_fades_without_a_change_of_its_settings(make_napari_viewer):
-    viewer = make_napari_viewer()
-    layer = viewer.add_image(np.eye(8), opacity=0.5)
-    compat.fade(viewer, layer, 0.2)
-    assert layer.opacity == 0.5
-    assert compat.drawn_node(viewer, layer).opacity == pytest.approx(0.1)
-    compat.fade(viewer, layer, 1.0)
-    assert compat.drawn_node(viewer, layer).opacity == 0.5
-    compat.fade(ViewerModel(), layer, 0.2)  # without a window, nothing is drawn
-    assert public_names_with(layer, "fade") == [], "check for a public way"
+    viewer.dims.ndisplay = 3
+    for kind in (Image, Labels):
+        layer = kind(np.ones((3, 4, 5), np.uint8), visible=False)
+        compat.slice_hidden(viewer, layer)
+        viewer.add_layer(layer)
+        assert not layer.visible
+        assert viewer.dims.ndisplay == 3
+        layer.visible = True
 
 
 def test_textures_of_a_removed_layer_are_deleted_in_their_context(
-    make_napari_viewer, monkeypatch, at_rest
+    unstyled, make_napari_viewer, monkeypatch, at_rest
 ):
     from napari._vispy import canvas as napari_canvas
     from qtpy.QtGui import QOpenGLContext

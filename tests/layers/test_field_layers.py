@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from napari.components import ViewerModel
 from napari.layers import Layer
 
 from napari_hmrf import ProblemError
@@ -16,7 +15,6 @@ from napari_hmrf.fields import write_field
 from napari_hmrf.layers.field_layer import field_layer, field_of
 from napari_hmrf.layers.metadata import layer_metadata
 from napari_hmrf.tissue import edge_confidence
-from napari_hmrf.ui.soft_tissue import SoftTissue
 from tests.support.screen import Screen
 
 pytest.importorskip("SimpleITK")
@@ -38,15 +36,14 @@ def open_file(path):
 
 
 @pytest.fixture
-def dock_beside(qtbot, wait_for):
-    """Return a function that makes a dock beside layers and returns the dock and its viewer."""
+def dock_beside(frame, wait_for):
+    """Return a function that replaces all layers and returns the dock and its viewer."""
+    viewer, dock = frame.viewer, frame.open()
 
     def make(*layers):
-        viewer = ViewerModel()
+        viewer.layers.clear()
         for layer in layers:
             viewer.add_layer(layer)
-        dock = SoftTissue(viewer)
-        qtbot.addWidget(dock.native)
         wait_for(lambda: not dock.busy)
         return dock, viewer
 
@@ -195,12 +192,12 @@ def test_a_dense_field_of_a_study_is_drawn_as_a_few_arrows(tmp_path, dock_beside
     dock, viewer = dock_beside(image, open_file(tmp_path / "warp.mha"))
     dock.boundary = viewer.layers["warp"]
     wait_for(lambda: not dock.busy)
-    path = dock.save_study(tmp_path / "case")
-    again, _ = dock_beside()
-    again.open_study(path)
-    wait_for(lambda: not again.busy)
-    assert len(again.boundary.data) < 500
-    ours, theirs = dock.study.motion, again.study.motion
+    ours, path = dock.study.motion, dock.save_study(tmp_path / "case")
+    dock_beside()
+    dock.open_study(path)
+    wait_for(lambda: not dock.busy)
+    assert len(dock.boundary.data) < 500
+    theirs = dock.study.motion
     np.testing.assert_allclose(theirs.observed, ours.observed, atol=1e-5)
     np.testing.assert_array_equal(theirs.confidence, ours.confidence)
 

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from napari.layers import Image, Labels, Points, Shapes
-from qtpy.QtCore import Qt
 
 from napari_hmrf import ElasticPrior, Multigrid, ProblemError, solve
 from napari_hmrf.layers.landmarks import read_landmarks
@@ -11,10 +10,9 @@ from napari_hmrf.layers.read import Request
 from napari_hmrf.layers.slice_view import frame_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing
-from tests.support.docks import dock_in, quick
-from tests.support.person import CTRL, Person
 from tests.support.screen import Screen
 from tests.support.study_reader import read_layers
+from tests.support.windowless import Touch
 
 SHAPE = (40, 48)
 SIZE = (0.5, 2.0)
@@ -207,30 +205,18 @@ def test_imported_landmarks_are_undone_changed_and_imported_again(chosen, settle
     assert widget.status == "Undid: added landmarks from 'is'."
 
 
-@pytest.mark.usefixtures("unstyled", "without_controls")
-def test_landmarks_are_imported_and_dragged_in_a_window(
-    make_napari_viewer, small_sample, settle, qtbot, at_rest
-):
-    viewer = make_napari_viewer(show=True)
-    widget = quick(dock_in(viewer))
-    small_sample(viewer)
-    viewer.add_points([[8.0, 8.0]], name="is", size=1)
-    viewer.add_points([[10.0, 8.0]], name="ought", size=1)
+def test_imported_landmarks_are_dragged(chosen, settle):
+    widget, where, _ = chosen
     widget.model = "elastic"
-    menus(widget).sources.value = viewer.layers["is"]
+    menus(widget).sources.value = where
     screen = Screen(widget)
     screen.press("Use as landmarks")
     screen.press("Landmark")
     settle(widget)
     np.testing.assert_allclose(widget.solution.displacement[8, 8], (2, 0), atol=0.05)
-    person = Person(viewer, qtbot)
-    at_rest()
-    person.drag((10, 8), (10, 11))
+    Touch(widget._viewer).drag((10, 8), (10, 11))
     settle(widget)
     np.testing.assert_allclose(widget.solution.displacement[8, 8], (2, 3), atol=0.3)
-    person.key(Qt.Key.Key_Z, CTRL)
-    settle(widget)
-    np.testing.assert_allclose(widget.solution.displacement[8, 8], (2, 0), atol=0.05)
 
 
 # Lines

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as some
-from napari.components import ViewerModel
 from napari.layers import Image, Labels, Points, Vectors
 
 from napari_hmrf import ElasticPrior, Multigrid, SeilerPrior, solve
@@ -18,7 +17,6 @@ from napari_hmrf.study.ground import Ground, build_problem
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import RIGID, BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Rendering, Stroke
-from napari_hmrf.ui.soft_tissue import SoftTissue
 from tests.support.study_reader import read_ground
 
 SHAPE = (18, 22)
@@ -156,9 +154,9 @@ def test_arrows_and_an_observed_field_give_the_same_problem():
 
 
 @pytest.fixture
-def tumour(qtbot):
+def tumour(frame):
     """Return the dock of a viewer with painted tissue and a boundary of low confidence."""
-    viewer = ViewerModel()
+    viewer, dock = frame.viewer, frame.open()
     tissue, boundary = np.ones(SHAPE, np.uint8), np.zeros(SHAPE, np.uint8)
     tissue[6:10, 8:14] = 2
     boundary[:, 0], boundary[4:12, -1], boundary[8, 10] = 1, 2, 3
@@ -171,9 +169,7 @@ def tumour(qtbot):
     viewer.add_image(np.full(SHAPE, 7, np.uint8), name="MR", **PLACE)
     viewer.add_labels(tissue, name="Tissue", metadata=layer_metadata(TISSUE, table, "kPa"), **PLACE)
     viewer.add_labels(boundary, name="Boundary", metadata=layer_metadata(BOUNDARY, said), **PLACE)
-    dock = SoftTissue(viewer)
     dock.settings = replace(dock.settings, device="cpu")
-    qtbot.addWidget(dock.native)
     return dock
 
 

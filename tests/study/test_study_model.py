@@ -19,7 +19,6 @@ from napari_hmrf.study.models import SolverDetails
 from napari_hmrf.study.study_model import ImageChoice, ModelChoice, Part, StudyModel
 from napari_hmrf.tissue.row_table import RowTable
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
-from napari_hmrf.ui.soft_tissue import SoftTissue
 
 SHAPE = (24, 30)
 PULL = Arrow((12, 15), (0, 2), 3.0)
@@ -176,12 +175,10 @@ def test_the_window_and_the_model_update_each_other(dock, layers, at_rest):
 
 
 @pytest.fixture
-def dock(qtbot, layers, at_rest):
-    viewer = ViewerModel()
+def dock(frame, layers, at_rest):
+    made = frame.open()
     for layer in layers.values():
-        viewer.add_layer(layer)
-    made = SoftTissue(viewer)
-    qtbot.addWidget(made.native)
+        frame.viewer.add_layer(layer)
     at_rest.until(lambda: not made.busy)
     return made
 
@@ -226,9 +223,8 @@ def test_an_image_of_another_viewer_cannot_be_selected(dock, layers):
     assert dock.study_model.image is dock.image
 
 
-def test_a_drawing_without_an_image_is_not_a_step(qtbot):
-    dock = SoftTissue(ViewerModel())
-    qtbot.addWidget(dock.native)
+def test_a_drawing_without_an_image_is_not_a_step(frame):
+    dock = frame.open()
     dock.drawing = Drawing((PULL,))
     assert dock.study_model.next_undo is None
 

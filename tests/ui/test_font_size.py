@@ -2,9 +2,19 @@
 
 import pytest
 from napari._qt.qt_resources import get_stylesheet
+from napari.components import ViewerModel
 from qtpy.QtCore import QPoint
-from qtpy.QtWidgets import QAbstractButton, QComboBox, QLabel, QScrollArea, QTableView, QToolButton
+from qtpy.QtWidgets import (
+    QAbstractButton,
+    QApplication,
+    QComboBox,
+    QLabel,
+    QScrollArea,
+    QTableView,
+    QToolButton,
+)
 
+from napari_hmrf.ui.soft_tissue import SoftTissue
 from tests.support.docks import quick
 from tests.support.screen import Screen
 
@@ -13,11 +23,14 @@ _HEIGHT = 700
 
 
 @pytest.fixture
-def dock(frame, small_sample, at_rest):
-    """Return a dock with all sections open, as narrow as possible, on a small screen."""
-    small_sample(frame.viewer)
-    made = quick(frame.open())
-    frame.show()
+def dock(qtbot, small_sample, at_rest):
+    """Return a new dock with all sections open, as narrow as possible, on a small screen."""
+    viewer = ViewerModel()
+    small_sample(viewer)
+    made = quick(SoftTissue(viewer))
+    qtbot.addWidget(made.native)
+    with qtbot.waitExposed(made.native):
+        made.native.show()
     for section in made._form.sections.values():
         section.expand(animate=False)
     at_rest.until(lambda: not made.busy)
@@ -32,6 +45,7 @@ def enlarge(dock, at_rest, by):
         font.setPointSizeF(1.5 * font.pointSizeF())
         window.setFont(font)
     else:
+        window.setFont(QApplication.font())
         size = {"font_size": "14pt"}
         window.setStyleSheet(get_stylesheet("dark", extra_variables=size))
     at_rest()
@@ -46,11 +60,18 @@ def is_cut(part):
     return too_narrow or (part.height() < needed.height() and not wraps)
 
 
-@pytest.mark.parametrize("by", ["application", "napari"])
-def test_no_text_is_cut_with_a_large_font(dock, at_rest, by):
+def test_texts_grow_and_none_is_cut_with_a_large_font(dock, at_rest):
+    tables = dock.native.findChildren(QTableView)
+    rows = [table.rowHeight(0) for table in tables]
     dock._form.footer.warn("Tissue folds.", "folds")
     dock._form.footer.offer("Take large motion", "Solve without folds")
-    enlarge(dock, at_rest, by)
+    for by in ("application", "napari"):
+        enlarge(dock, at_rest, by)
+        assert_all_texts_are_large(dock, tables, rows)
+
+
+def assert_all_texts_are_large(dock, tables, rows):
+    """Assert that texts are not cut, and that rows are higher than the given heights."""
     kinds = (QAbstractButton, QComboBox, QLabel)
     parts = [each for kind in kinds for each in dock.native.findChildren(kind)]
     parts.remove(Screen(dock).button("?"))  # narrow on purpose
@@ -61,13 +82,6 @@ def test_no_text_is_cut_with_a_large_font(dock, at_rest, by):
     save = Screen(dock).button("Save study")
     window = dock.native.window()
     assert window.rect().contains(save.mapTo(window, QPoint(0, save.height() - 1)))
-
-
-@pytest.mark.parametrize("by", ["application", "napari"])
-def test_tools_and_tables_have_the_font_size_of_the_fields(dock, at_rest, by):
-    tables = dock.native.findChildren(QTableView)
-    rows = [table.rowHeight(0) for table in tables]
-    enlarge(dock, at_rest, by)
     size = dock.fields.radius.native.font().pointSizeF()
     for each in (*dock.native.findChildren(QToolButton), *tables):
         if each.isVisible():

@@ -8,7 +8,6 @@ import pytest
 from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QApplication
 
-from napari_hmrf.layers.label_colours import SELECTED
 from napari_hmrf.solver import preparation
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.live_solver import TOLERANCE
@@ -82,7 +81,7 @@ def wait_for_follower(at_rest):
 
 
 def test_the_newest_drawing_is_shown_last(follower, wait_for_follower):
-    for by in range(40):
+    for by in range(0, 40, 3):
         follower.follow(pulled(by / 10))
         if by % 7 == 0:
             QApplication.processEvents()
@@ -205,21 +204,6 @@ def test_an_error_while_showing_a_result_does_not_stop_the_next_drawing(
     assert [answer.study.motion.drawing for answer in follower.shown] == [pulled(2)]
 
 
-def test_an_error_while_warping_an_image_does_not_stop_the_next_drawing(
-    follower, wait_for_follower, monkeypatch
-):
-    from napari_hmrf.field.live_warp import Warper
-
-    with monkeypatch.context() as broken:
-        broken.setattr(Warper, "__call__", lambda *_, **__: 1 / 0)
-        follower.follow(pulled(1))
-        wait_for_follower(follower)
-    assert isinstance(follower.shown[-1].error, ZeroDivisionError)
-    follower.follow(pulled(2))
-    wait_for_follower(follower)
-    assert follower.shown[-1].study.motion.drawing == pulled(2)
-
-
 def test_arrows_follow_the_mouse_during_a_solve(pulling_beside, qtbot, solver_at_work):
     person, _ = pulling_beside
     person.press(30, 30)
@@ -283,32 +267,7 @@ def test_the_cursor_emits_no_positions_during_a_drag(pulling_beside):
         assert positions, "the status bar was not updated after the drag"
 
 
-def test_no_result_is_computed_without_an_edit(pulling_beside, settle, at_rest):
-    person, widget = pulling_beside
-    person.drag((30, 30), (32, 32), (34, 34))
-    settle(widget)
-    seen = []
-    widget.deformation_changed.connect(seen.append)
-    at_rest()
-    assert not seen
-
-
-def test_arrows_retain_their_colours_while_they_move(pulling, settle, qtbot):
-    person, widget = pulling
-    person.drag((30, 30), (36, 30), (36, 36))
-    settle(widget)
-    layer = by_name(person.viewer, "Motion")
-    assert np.allclose(layer.edge_color, SELECTED)
-    shot = person.viewer.screenshot(canvas_only=True, flash=False)[..., :3]
-    yellow = np.abs(shot - 255 * np.array(SELECTED[:3])).max(axis=-1) < 30
-    assert yellow.sum() > 50
-    mesh = person.viewer.window._qt_viewer.canvas.layer_to_visual[layer].node
-    one = np.zeros((3, 4), np.float32)
-    assert mesh._build_color_transform(one) is mesh._build_color_transform(one + 1)
-
-
-@pytest.mark.parametrize("confidence", [1.0, 0.5])
-def test_the_first_drag_compiles_no_loop(wait_for_follower, make_follower, confidence):
+def test_the_first_drag_compiles_no_loop(wait_for_follower, make_follower):
     from napari.layers import Image
 
     from napari_hmrf.field.interpolation import look_up
@@ -323,7 +282,7 @@ def test_the_first_drag_compiles_no_loop(wait_for_follower, make_follower, confi
     follower.engine.rehearse(follower.study)
     wait_for_follower(follower)
     before = compiled()
-    follower.follow(Drawing((Arrow((20, 20), (0, 2), 4, confidence),)))
+    follower.follow(Drawing((Arrow((20, 20), (0, 2), 4, 0.5),)))
     wait_for_follower(follower)
     assert compiled() == before
 

@@ -1,14 +1,10 @@
 """Tests that painted layers, which do not move, are never visible over a deformed image."""
 
 import pytest
-from qtpy.QtCore import Qt
-from qtpy.QtTest import QTest
 
-from napari_hmrf.layers.compat import drawn_node
 from napari_hmrf.layers.metadata import metadata_of
 from napari_hmrf.ui.messages import MEANWHILE
-from tests.support.docks import dock_in, quick, viewer_of
-from tests.support.person import Person
+from tests.support.docks import viewer_of
 from tests.support.screen import Screen
 from tests.support.windowless import Touch
 
@@ -93,20 +89,6 @@ def test_undone_paint_in_a_hidden_layer_is_solved(painted, settle):
     assert widget.solution.tissue.sum() > holes, "the undone paint was not noticed"
 
 
-@pytest.fixture
-def painting(make_napari_viewer, small_sample, at_rest, settle, qtbot):
-    """Return a person with the brush of the tissue in a window with a result, and the dock."""
-    viewer = make_napari_viewer(show=True)
-    small_sample(viewer, (48, 64))
-    widget = quick(dock_in(viewer))
-    widget.live = True
-    at_rest()
-    settle(widget)
-    assert deformed_of(viewer).visible
-    Screen(widget).click_row("air")
-    return Person(viewer, qtbot), widget
-
-
 def shows_paint(widget):
     """Return whether the image and its paint are shown undeformed, with the message about it."""
     deformed, tissue = deformed_of(viewer_of(widget)), widget.tissue
@@ -114,31 +96,6 @@ def shows_paint(widget):
     assert is_undeformed == (MEANWHILE in widget.status)
     assert tissue.visible != deformed.visible
     return is_undeformed
-
-
-def test_a_painted_stroke_stays_visible_on_the_undeformed_image(painting, settle):
-    person, widget = painting
-    drawn, found = drawn_node(person.viewer, widget.tissue), []
-    widget.result_drawn.connect(found.append)
-    for row in (20, 24):
-        person.paint((row, 20), (row, 24))
-        settle(widget)
-        assert found, "the stroke was not solved"
-        assert shows_paint(widget)
-        assert drawn.opacity == widget.tissue.opacity
-        found.clear()
-
-
-def test_moving_the_view_with_the_space_key_does_not_end_painting(painting):
-    person, widget = painting
-    native = person.canvas
-    native.setFocus()
-    QTest.keyPress(native, Qt.Key.Key_Space)
-    assert widget.tissue.mode == "pan_zoom"
-    assert shows_paint(widget)
-    QTest.keyRelease(native, Qt.Key.Key_Space)
-    assert widget.tissue.mode == "paint"
-    assert shows_paint(widget)
 
 
 def test_the_deformed_image_returns_when_painting_ends(painted, settle):

@@ -1,7 +1,5 @@
 """Tests of several images in one viewer, each with its own layers, settings and drawing."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -69,36 +67,24 @@ def test_a_new_sample_does_not_replace_the_sample_with_a_drawing(viewer, widget,
     )
 
 
-@pytest.mark.parametrize("size", [32, 40])
-def test_each_of_two_samples_has_its_own_paint_and_edge(viewer, widget, settle, size):
+def test_each_of_two_samples_has_its_own_paint_and_edge(viewer, widget, settle):
     first = brain(viewer)
     widget.drawing = MARKS
     widget.boundary = None
     assert widget.hold_edge
-    second = brain(viewer, size)
+    second = brain(viewer)
     assert chosen_layers(widget) == [*first[:2], None], "a layer of the other sample was selected"
-    for _ in range(2):
-        widget.image = second[0]
-        settle(widget)
-        assert (chosen_layers(widget), widget.hold_edge) == (second, False)
-        assert not widget.drawing.marks
-        widget.image = first[0]
-        settle(widget)
-        assert (chosen_layers(widget), widget.hold_edge) == ([*first[:2], None], True)
-        assert widget.drawing == MARKS
+    widget.image = second[0]
+    settle(widget)
+    assert (chosen_layers(widget), widget.hold_edge) == (second, False)
+    assert not widget.drawing.marks
+    widget.image = first[0]
+    settle(widget)
+    assert (chosen_layers(widget), widget.hold_edge) == ([*first[:2], None], True)
+    assert widget.drawing == MARKS
     widget.undo()
     widget.undo()
     assert chosen_layers(widget) == first
-
-
-@pytest.mark.parametrize("which", [0, 1])
-def test_a_dock_opened_later_selects_the_paint_of_the_front_image(frame, which):
-    both = [brain(frame.viewer) for _ in range(2)]
-    frame.viewer.layers.selection.active = both[which][0]
-    dock = frame.open()
-    assert chosen_layers(dock) == both[which]
-    dock.image = both[1 - which][0]
-    assert chosen_layers(dock) == both[1 - which]
 
 
 def test_layers_of_another_place_are_deselected_when_their_image_is_removed(viewer, widget, settle):
@@ -130,10 +116,9 @@ def test_a_chosen_layer_at_another_place_is_refused_with_a_hint(viewer, widget, 
     assert widget.start()
 
 
-@pytest.mark.parametrize("place", [{}, {"translate": (9, 12)}], ids=["whole", "in part"])
-def test_a_chosen_image_is_made_visible(viewer, widget, place):
+def test_a_chosen_image_is_made_visible(viewer, widget):
     image = viewer.add_image(np.ones((20, 24)), name="MR", visible=False)
-    over = viewer.add_image(np.ones((64, 48)), name="photo", **place)
+    over = viewer.add_image(np.ones((64, 48)), name="photo", translate=(9, 12))
     beside = viewer.add_image(np.ones((20, 24)), name="beside", translate=(0, 70))
     through = viewer.add_image(np.ones((20, 24)), name="through", opacity=0.5)
     widget.image = image
@@ -182,8 +167,8 @@ def test_the_result_of_an_image_is_visible_only_while_that_image_is_chosen(
 def test_tissue_painted_with_a_brush_is_measured_and_shown_with_its_new_label(
     viewer, frame, settle
 ):
-    brain(viewer, 64)
     widget = frame.open()
+    brain(viewer, 64)
     settle(widget)
     before = {each.name: each for each in widget.more.measure()}
     tumour = next(row.label for row in widget.materials if row.name == "tumour")
@@ -216,32 +201,6 @@ def test_undo_on_another_image_shows_that_image(viewer, widget, settle):
     assert first[0].visible
     assert not second[0].visible
     assert widget.status.startswith(f"Undid on '{first[0].name}': replaced the drawing.")
-
-
-def test_undo_of_a_table_or_a_model_of_another_image_shows_that_image(viewer, widget, settle):
-    (first, tissue, *_), (second, *_) = brain(viewer), brain(viewer)
-    widget.image = first
-    settle(widget)
-    widget.model = "elastic"
-    widget.materials = [replace(row, stiffness=7.0) for row in widget.materials]
-    settle(widget)
-    undo = Screen(widget).button("Undo")
-    for word in (f"changed the table of '{tissue.name}'", "chose another model"):
-        widget.image = second
-        settle(widget)
-        assert undo.toolTip() == f"Undo on '{first.name}': {word} (Ctrl+Z)"
-        widget.undo()
-        settle(widget)
-        assert widget.image is first
-        assert first.visible
-
-
-def test_a_message_names_the_new_layers_to_paint_on(viewer, widget):
-    brain(viewer)
-    viewer.add_image(np.ones((20, 24)), name="photo", translate=(0, 300))
-    widget.image = viewer.layers["photo"]
-    Screen(widget).press("New tissue layer")
-    assert widget.status.startswith("Paint in 'Tissue [1]' and 'Boundary [1]': click a row")
 
 
 def test_painted_tissue_stays_the_same_in_a_new_tissue_layer(viewer, widget, settle):
@@ -329,18 +288,14 @@ def test_a_drawing_is_displayed_again_with_its_image(viewer, widget, settle):
     assert widget.status.startswith("To continue drawing, press a tool")
 
 
-@pytest.mark.parametrize("sample", [False, True])
-def test_a_newly_opened_image_is_chosen_until_the_first_edit(viewer, widget, settle, sample):
-    def open_image():
-        return brain(viewer)[0] if sample else viewer.add_image(np.ones((20, 24)), name="photo")
-
+def test_a_newly_opened_image_is_chosen_until_the_first_edit(viewer, widget, settle):
     for _ in range(2):
-        newest = open_image()
+        newest, *_ = brain(viewer)
         settle(widget)
         assert widget.image is newest
     widget.plane = "strain"
     assert widget.image is newest
-    later = open_image()
+    later, *_ = brain(viewer)
     later.opacity = 0.5
     settle(widget)
     assert widget.image is newest

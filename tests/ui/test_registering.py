@@ -2,11 +2,9 @@
 
 import numpy as np
 import pytest
-from napari.components import ViewerModel
 from scipy import ndimage
 
 from napari_hmrf import Arrow, Drawing, read_study, warp
-from napari_hmrf.ui.soft_tissue import SoftTissue
 from tests.support.screen import Screen
 
 SHAPE = (64, 72)
@@ -30,17 +28,15 @@ def pair_of(shape, size):
 
 
 @pytest.fixture
-def window(qtbot, wait_for):
+def window(frame, wait_for):
     """Return a function that opens two images of one tissue in a dock."""
 
     def make(shape=SHAPE, **second):
         size = (0.5,) * len(shape)
         before, after, truth = pair_of(shape, size)
-        viewer = ViewerModel()
+        viewer, dock = frame.viewer, frame.open()
         place = {"scale": size, "units": ("mm",) * len(shape)}
         first = viewer.add_image(before, name="before", **place)
-        dock = SoftTissue(viewer)
-        qtbot.addWidget(dock.native)
         after = viewer.add_image(after, name="after", visible=False, **{**place, **second})
         dock.image = first
         dock.compare_with = after
@@ -69,18 +65,12 @@ def test_a_press_moves_the_tissue_to_the_second_image(window, wait_for):
     assert not dock.study.motion.hold_edge, "a fixed edge would contradict the images"
     assert "outer edge is no longer fixed" in dock.status
     assert "Registered to 'after'. Agreement when registered: " in Screen(dock).words
-
-
-def test_undo_removes_the_registration_and_fixes_the_edge_again(window, wait_for):
-    dock, truth = window()
-    register(dock, wait_for)
     dock.undo()
     wait_for(lambda: not dock.busy and dock.solution is None)
     assert dock.study.motion.hold_edge
     assert dock.study.motion.measured is None
     dock.redo()
     wait_for(lambda: not dock.busy and dock.solution is not None)
-    assert error(dock, truth) < 0.1
     Screen(dock).press("Unregister")
     wait_for(lambda: not dock.busy and dock.solution is None)
 
@@ -104,23 +94,22 @@ def test_held_tissue_stays_while_the_rest_is_registered(window, wait_for):
     assert far[8:20, 8:20].mean() < 0.1
 
 
-def test_a_registered_study_is_saved_and_opened_again(window, wait_for, tmp_path, qtbot):
+def test_a_registered_study_is_saved_and_opened_again(window, wait_for, tmp_path):
     dock, _ = window()
     register(dock, wait_for)
     solution = dock.solution
     path = dock.save_study(tmp_path / "registered")
     assert read_study(path).study.motion.measured is not None
-    viewer = ViewerModel()
-    other = SoftTissue(viewer)
-    qtbot.addWidget(other.native)
-    other.open_study(path)
-    wait_for(lambda: not other.busy and other.solution is not None)
-    assert np.array_equal(other.solution.displacement, solution.displacement)
-    assert "Registered to 'after'" in Screen(other).words
-    assert not Screen(other).button("Unregister").parent().isHidden()
-    image = other.image
+    viewer = dock._viewer
+    viewer.layers.clear()
+    dock.open_study(path)
+    wait_for(lambda: not dock.busy and dock.solution is not None)
+    assert np.array_equal(dock.solution.displacement, solution.displacement)
+    assert "Registered to 'after'" in Screen(dock).words
+    assert not Screen(dock).button("Unregister").parent().isHidden()
+    image = dock.image
     viewer.add_image(np.zeros(image.data.shape), name="after")
-    assert other.image is image, "the second image replaces that of the study"
+    assert dock.image is image, "the second image replaces that of the study"
 
 
 def test_an_image_on_another_grid_is_registered_by_its_place(window, wait_for):
@@ -161,22 +150,10 @@ def test_a_second_image_elsewhere_is_refused(window):
     assert not dock.busy
 
 
-def test_the_button_says_what_it_needs(window, wait_for):
-    dock, _ = window()
-    button = Screen(dock).button("Register")
-    assert "looks like the second image" in button.toolTip()
-    Screen(dock).choose("large motion: never folds")
-    wait_for(lambda: not dock.busy)
-    assert not button.isEnabled()
-    assert "elastic" in button.toolTip()
-
-
-def test_a_registration_belongs_to_the_slice_in_which_it_was_started(qtbot, wait_for):
+def test_a_registration_belongs_to_the_slice_in_which_it_was_started(frame, wait_for):
     before, after, truth = pair_of(SHAPE, SIZE)
-    viewer = ViewerModel()
+    viewer, dock = frame.viewer, frame.open()
     stack = viewer.add_image(np.stack([before, before]), name="before", scale=(1, *SIZE))
-    dock = SoftTissue(viewer)
-    qtbot.addWidget(dock.native)
     both = np.stack([after, after])
     other = viewer.add_image(both, name="after", visible=False, scale=(1, *SIZE))
     dock.image = stack

@@ -4,7 +4,6 @@ import re
 
 import numpy as np
 import pytest
-from napari.components import ViewerModel
 from qtpy.QtWidgets import QTableWidget
 
 from napari_hmrf import Arrow, Drawing, Landmark
@@ -12,7 +11,6 @@ from napari_hmrf.contributions import phantom_layers, volume_layers
 from napari_hmrf.data import head_phantom
 from napari_hmrf.samples.phantoms import phantom
 from napari_hmrf.ui.result.landmark_table import INVALID
-from napari_hmrf.ui.soft_tissue import SoftTissue
 from tests.support.docks import open_sample
 from tests.support.screen import Cell, Screen, head
 
@@ -23,15 +21,13 @@ BY = np.array([[0.0, 2.0], [2.0, 1.0], [-1.0, 1.0]])
 
 
 @pytest.fixture
-def compared(qtbot, wait_for):
+def compared(frame, wait_for):
     """Return a viewer with two images of one tissue and points on both, the dock and the images."""
-    viewer = ViewerModel()
+    viewer, dock = frame.viewer, frame.open()
     place = {"scale": SIZE, "units": ("mm", "mm")}
     rows, cols = np.indices(SHAPE)
     pixels = (120 + 60 * ((rows // 8 + cols // 8) % 2)).astype(np.uint8)
     before = viewer.add_image(pixels, name="before", **place)
-    dock = SoftTissue(viewer)
-    qtbot.addWidget(dock.native)
     after = viewer.add_image(np.roll(pixels, 2, axis=1), name="after", visible=False, **place)
     viewer.add_points(WHERE, name="is", **place)
     viewer.add_points(WHERE + BY, name="ought", **place)
@@ -64,20 +60,6 @@ def test_imported_landmarks_reach_their_targets_and_have_residuals(compared, wai
     assert now < 0.01
     assert dock.residual in screen.words
     assert (viewer.layers["is"].features["residual (mm)"] < 0.01).all()
-
-
-def test_undo_of_landmarks_removes_residuals_and_references(compared, wait_for):
-    viewer, dock, _, _ = compared
-    Screen(dock).choose("is")
-    dock.take_landmarks(viewer.layers["is"], viewer.layers["ought"])
-    wait_for(lambda: "apart before" in dock.residual and not dock.busy)
-    dock.undo()
-    wait_for(lambda: not dock.residual and not dock.busy)
-    assert "residual (mm)" not in viewer.layers["is"].features
-    dock._form.result.reference.reset_choices()
-    assert dock._form.result.reference.offered == [], "the removed result is offered as a reference"
-    dock.redo()
-    wait_for(lambda: "apart before" in dock.residual)
 
 
 def test_residuals_are_updated_if_points_move(compared, wait_for):

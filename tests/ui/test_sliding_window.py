@@ -19,10 +19,9 @@ MATERIALS = Material(1, "muscle", 1.0), Material(2, "lung", 1.0)
 @pytest.fixture
 def dock(frame, wait_for):
     """Return a dock beside an elliptical lung in muscle, with a fixed edge."""
-    viewer = frame.viewer
+    viewer, dock = frame.viewer, frame.open()
     viewer.add_image(np.where(LUNG, 0.9, 0.5), name="Chest")
     viewer.add_labels(1 + LUNG, name="Organs", metadata=layer_metadata(TISSUE, MATERIALS))
-    dock = frame.open()
     dock.image, dock.tissue = viewer.layers["Chest"], viewer.layers["Organs"]
     wait_for(lambda: not dock.busy)
     return dock
@@ -48,9 +47,6 @@ def test_a_lung_that_is_chosen_to_slide_slips_and_is_undone_in_one_step(dock, wa
     wait_for(lambda: not dock.busy)
     assert screen.cell("lung", "slides").chosen() == "no"
     assert slip(dock) == pytest.approx(stuck, abs=0.02)
-    dock.redo()
-    wait_for(lambda: not dock.busy)
-    assert slip(dock) > 3 * stuck
 
 
 def test_a_lung_that_slides_follows_a_drag(frame, dock, wait_for):
@@ -86,9 +82,9 @@ def test_folds_of_sliding_tissue_are_reported_without_the_offer_of_large_motion(
 
 
 def test_the_breath_of_the_sample_shows_neither_a_warning_nor_folds(frame, wait_for):
+    dock = frame.open()
     for data in phantom_layers(chest_phantom(128)):
         frame.viewer.add_layer(Layer.create(*data))
-    dock = frame.open()
     dock.deform()
     wait_for(lambda: not dock.busy and dock.solution is not None)
     assert not dock.warning

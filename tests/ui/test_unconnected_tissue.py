@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from napari.components import ViewerModel
 from napari.layers import Image
 
 from napari_hmrf import ElasticPrior, Problem, ProblemError, solve
@@ -14,10 +13,7 @@ from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.ui.messages import STILL
 from napari_hmrf.ui.motion.tools import BY_NAME
-from napari_hmrf.ui.soft_tissue import SoftTissue
-from tests.support.docks import quick
 from tests.support.person import by_name
-from tests.support.screen import Screen
 from tests.support.study_reader import read_ground
 
 
@@ -89,13 +85,13 @@ def stiffness_with_specks():
     return picture, Image(tissue.astype(np.float32), name="stiffness", metadata=metadata)
 
 
-def test_tissue_with_specks_can_be_pulled(open_window, settle):
+def test_tissue_with_specks_can_be_pulled(open_beside, settle):
     picture, stiffness = stiffness_with_specks()
-    person, widget = open_window(picture)
+    person, widget = open_beside(picture)
     person.viewer.add_layer(stiffness)
     widget.tissue = stiffness
     widget.hold_edge = False
-    Screen(widget).press("Pull")
+    widget.start()
     widget.drawing = Drawing((Arrow((10, 10), (0, 2), 3.0),))
     settle(widget)
     field = widget.solution.displacement
@@ -116,9 +112,10 @@ def test_an_error_about_unconstrained_tissue_names_the_layer():
     assert str(ground.study.in_words(refused.value)).startswith("'Motion' leaves a piece of tissue")
 
 
-def painted(qtbot, wall=True, moves=True):
-    """Return the dock with elastic tissue, specks, a fixed wall and a moving region."""
-    viewer = ViewerModel()
+def paint(widget, wall=True, moves=True):
+    """Show elastic tissue, specks, a fixed wall and a moving region beside the dock."""
+    viewer = widget._viewer
+    viewer.layers.clear()
     picture, stiffness = stiffness_with_specks()
     viewer.add_image(picture, name="MR")
     viewer.add_layer(stiffness)
@@ -129,25 +126,15 @@ def painted(qtbot, wall=True, moves=True):
         labels[9:12, 12:15] = 2
     rules = (BoundaryRule(1, "fixed"), BoundaryRule(2, "move", vector=(0.0, 1.0)))
     viewer.add_labels(labels, name="Boundary", metadata=layer_metadata(BOUNDARY, rules))
-    widget = quick(SoftTissue(viewer))
-    qtbot.addWidget(widget.native)
-    return widget
+    widget.model = "paper"
 
 
-def test_tissue_with_specks_is_deformed(qtbot, run):
-    widget = painted(qtbot)
-    widget.model = "elastic"
-    outputs = run(widget)
-    assert outputs is not None
-    assert "2 pieces of tissue with too few constraints stay at rest (9 pixels)." in widget.warning
-
-
-def test_missing_motion_or_missing_constraints_are_reported(qtbot, run):
-    widget = painted(qtbot, moves=False)
+def test_missing_motion_or_missing_constraints_are_reported(widget, run):
+    paint(widget, moves=False)
     run(widget)
     assert widget.status.startswith(STILL)
     assert widget.warning.startswith("Nothing moves: mark tissue that moves")
-    widget = painted(qtbot)
+    paint(widget)
     moved = widget.rules[1]
     widget.rules = (widget.rules[0], replace(moved, confidence=(0.0, 0.0)))
     run(widget)
@@ -159,11 +146,13 @@ def test_missing_motion_or_missing_constraints_are_reported(qtbot, run):
     run(widget)
     assert widget.status.startswith(STILL)
     assert "9 boundary pixels outside tissue were ignored. Nothing moves" in widget.warning
-    widget = painted(qtbot, wall=False)
+    paint(widget, wall=False)
     run(widget)
     assert "Nothing holds the tissue" in widget.warning
-    widget = painted(qtbot)
+    paint(widget)
+    widget.model = "elastic"
     run(widget)
+    assert "2 pieces of tissue with too few constraints stay at rest (9 pixels)." in widget.warning
     assert "othing" not in widget.warning.split("pieces")[0]
 
 

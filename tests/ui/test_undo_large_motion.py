@@ -58,15 +58,13 @@ def test_undo_of_a_reset_restores_the_result(pulled_in_steps, settle):
     assert set(models) == {"large motion"}, "the default model was solved first"
 
 
-def test_a_saved_result_is_shown_when_the_study_is_opened(
-    pulled_in_steps, open_beside, settle, tmp_path
-):
-    path = pulled_in_steps.save_study(tmp_path / "pulled")
-    _, dock = open_beside()
+def test_a_saved_result_is_shown_when_the_study_is_opened(pulled_in_steps, settle, tmp_path):
+    dock = pulled_in_steps
+    path, known = dock.save_study(tmp_path / "pulled"), dock.solution.displacement
+    dock._viewer.layers.clear()
     dock.open_study(path)
     settle(dock)
     assert moved_as_pulled(dock)
-    known = pulled_in_steps.solution.displacement
     np.testing.assert_array_equal(dock.solution.displacement, known)
 
 

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ import pytest
 from napari._qt.dialogs.qt_notification import NapariQtNotification
 from napari.components import ViewerModel
 from napari.settings import get_settings
-from qtpy.QtCore import QEvent, QFile, QObject, QSettings, Qt
+from qtpy.QtCore import QEvent, QFile, QObject, QSettings
 from qtpy.QtWidgets import QApplication, QFileDialog, QLabel, QMessageBox
 
 from napari_hmrf import (
@@ -25,16 +26,19 @@ from napari_hmrf import (
     Stroke,
     Study,
     array_file,
+    contributions,
     read_study,
     write_study,
 )
 from napari_hmrf.io import recovery
+from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.tissue.drawing.patch_motion import PatchMotion
 from napari_hmrf.ui.soft_tissue import SoftTissue
 from tests.support.docks import dock_in
-from tests.support.person import CTRL, Person
+from tests.support.long_work import long_work
 from tests.support.screen import Screen
 from tests.support.timeouts import LONG, LONG_MS
+from tests.support.windowless import Touch
 
 DRAWING = Drawing((Arrow(at=(30, 30), by=(2.0, 5.0), radius=4.0),))
 OTHER = Drawing((Arrow(at=(20, 40), by=(-3.0, 1.0), radius=4.0),))
@@ -121,8 +125,25 @@ def press_close(at_rest):
 
 
 @pytest.fixture
-def dock_beside(qtbot, wait_for):
-    """Return a function that makes an idle dock beside a viewer without a window."""
+def dock(frame, at_rest):
+    """Return an idle dock without live mode, beside an empty viewer without a window."""
+    made = frame.open()
+    made.live = False
+    at_rest()
+    return made
+
+
+@pytest.fixture
+def photo(dock, frame, at_rest):
+    """Return an image in the viewer of the dock."""
+    image = frame.viewer.add_image(np.full((64, 64), 100, np.uint8), name="photo")
+    at_rest()
+    return image
+
+
+@pytest.fixture
+def new_dock(qtbot, wait_for):
+    """Return a function that makes a new dock, which offers abandoned work."""
 
     def made(viewer):
         dock = SoftTissue(viewer)
@@ -145,126 +166,149 @@ def autosaved_files(place=None):
     return sorted(((place or settings()) / "unsaved").glob("*.study"))
 
 
-def test_cancel_leaves_the_window_open_with_all_edits(window, press_close, at_rest):
-    _, dock = window(shown=True)
+def test_closing_asks_once_about_unsaved_edits_even_after_the_dock_was_closed(
+    window, press_close, at_rest, monkeypatch
+):
+    viewer, dock = window(shown=True)
+    door, native = dock.door, viewer.window._qt_window
     dock.drawing = DRAWING
-    at_rest()
-    asked = Answers(dock, "cancel", "cancel", "discard")
-    assert not press_close(dock)
-    assert dock.drawing == DRAWING
-    assert dock.unsaved
-    dock.native.window().close()  # File > Close Window calls this method.
-    at_rest()
-    assert dock.door.passed == 0
+    dock.undo()
+    asked = Answers(dock)
     assert press_close(dock)
-    assert len(asked.questions) == 3, "a press of X asked more or fewer than one question"
+    assert asked.questions == [], "an undone edit is unsaved"
+    dock.redo()
+    at_rest()
+    asked = Answers(dock, "cancel", "cancel")
+    assert not press_close(dock)
+    native.close()  # File > Close Window calls this method.
+    at_rest()
+    assert (door.passed, dock.drawing, dock.unsaved) == (1, DRAWING, True)
+    assert len(asked.questions) == 2, "a press of X asked more or fewer than one question"
     assert "'MR slice 1'" in asked.questions[0]
+    viewer.window.remove_dock_widget(dock.native)
+    at_rest.until(lambda: len(autosaved_files()) == 1)
+    shown, answers = [], QMessageBox.StandardButton
+    monkeypatch.setattr(
+        QMessageBox, "question", lambda *given: (shown.append(given[2:4]), answers.Discard)[1]
+    )
+    native.close()
+    at_rest()
+    ((question, offered),) = shown
+    assert "'MR slice 1'" in question
+    assert offered == answers.Save | answers.Discard | answers.Cancel
+    assert door.passed == 2
     assert not autosaved_files()
 
 
-def test_a_window_closed_by_a_script_asks_no_question(window, at_rest):
+def test_a_script_closes_the_window_during_a_solve_without_a_wait_or_a_question(
+    window, run, at_rest
+):
     viewer, dock = window()
+    dock.settings = replace(dock.settings, device="cpu")
     dock.drawing = DRAWING
-    at_rest()
+    run(dock)
+    at_rest.until(lambda: not dock.busy)
+    dock.play()
     asked = Answers(dock)
     dock.door.remove()
-    viewer.close()
+    with long_work():
+        dock.deform()
+        after_it = compute_thread.submit(lambda: None)
+        viewer.close()
+        assert not after_it.done(), "closing waited for the solve"
+        at_rest(thread=False)
+    at_rest()
     assert asked.questions == []
     assert not autosaved_files()
 
 
-def test_save_asks_for_a_file_name_once_and_saves_there_again(
-    window, press_close, at_rest, tmp_path, monkeypatch
+def test_undone_and_saved_edits_are_not_unsaved_and_paint_is(
+    dock, photo, frame, at_rest, tmp_path, monkeypatch
 ):
-    path, chosen = tmp_path / "case.study", ["", tmp_path / "case.study"]
-    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(chosen.pop(0)), ""))
-    _, dock = window()
     dock.drawing = DRAWING
-    Answers(dock, "save", "save", "save")
-    assert not press_close(dock), "the window closed without a file name"
-    dock.save_study(path)
+    dock.undo()
     assert not dock.unsaved
+    dock.redo()
+    path = dock.save_study(tmp_path / "case")
     dock.undo()
     dock.redo()
     assert not dock.unsaved, "undo and redo changed the saved state"
-    dock.drawing = OTHER
-    assert press_close(dock)
-    assert read_study(path).study.motion.drawing == OTHER
-    assert not autosaved_files()
-
-
-def test_undone_edits_are_not_unsaved_and_paint_is(window, press_close, at_rest):
-    viewer, dock = window()
-    dock.drawing = DRAWING
-    dock.undo()
-    assert not dock.unsaved
-    asked = Answers(dock)
-    assert press_close(dock)
-    assert asked.questions == []
+    offered = []
+    monkeypatch.setattr(
+        QFileDialog, "getSaveFileName", lambda *said: (offered.append(said[2]), ("", ""))[1]
+    )
+    Screen(dock).press("Save study ...")
+    assert offered == [str(path)]
     dock.make_layers()
     at_rest()
     assert not dock.unsaved
-    viewer.layers.selection.active = viewer.layers["Tissue"]
-    viewer.layers["Tissue"].fill((0, 5, 5), 1)
+    tissue = frame.viewer.layers["Tissue"]
+    frame.viewer.layers.selection.active = tissue
+    tissue.fill((5, 5), 1)
     assert dock.unsaved
     dock.undo()
     assert not dock.unsaved
     dock.redo()
     assert dock.unsaved
-    asked = Answers(dock, "discard")
-    assert press_close(dock)
-    assert len(asked.questions) == 1
 
 
-def test_one_answer_saves_all_slices(window, press_close, at_rest, tmp_path, monkeypatch):
-    names = []
+def test_one_answer_saves_all_slices_and_the_volume_and_the_next_answer_saves_there_again(
+    window, press_close, at_rest, tmp_path, monkeypatch
+):
+    files, is_cancelled = [], True
 
-    def choose(*given):
-        names.append(given[2])
-        return str(tmp_path / given[2]), ""
+    def choose(*_):
+        if is_cancelled:
+            return "", ""
+        files.append(tmp_path / f"{len(files)}.study")
+        return str(files[-1]), ""
+
+    def saved():
+        studies = [read_study(file).study for file in files]
+        return [(each.grid.shape, each.motion.drawing) for each in studies]
 
     monkeypatch.setattr(QFileDialog, "getSaveFileName", choose)
-    viewer, dock = window()
+    viewer, dock = window(slices=40)
     for number, drawing in ((0, DRAWING), (2, OTHER)):
         viewer.dims.set_current_step(0, number)
         dock.drawing = drawing
-    viewer.dims.set_current_step(0, 1)
-    asked = Answers(dock, "save")
-    assert press_close(dock)
-    assert len(asked.questions) == 1
-    assert names == ["MR slice 0.study", "MR slice 2.study"]
-    for name, drawing in zip(names, (DRAWING, OTHER), strict=True):
-        assert read_study(tmp_path / name).study.motion.drawing == drawing
-
-
-def test_one_answer_saves_a_slice_and_its_volume(
-    window, press_close, at_rest, tmp_path, monkeypatch
-):
-    names = iter(["volume.study", "slice.study"])
-    monkeypatch.setattr(
-        QFileDialog, "getSaveFileName", lambda *_: (str(tmp_path / next(names)), "")
-    )
-    _, dock = window()
+    viewer.dims.order = (1, 0, 2)
+    at_rest()
+    dock.drawing = DRAWING
     dock.extent = "volume"
     at_rest()
-    dock.drawing = Drawing((Arrow((1, 30, 30), (0.0, 3.0, 0.0), 5.0),))
-    dock.extent = "slice"
-    at_rest()
-    dock.drawing = OTHER
-    Answers(dock, "save")
+    dock.drawing = ball = Drawing((Arrow((1, 30, 30), (0.0, 3.0, 0.0), 5.0),))
+    asked = Answers(dock, "save", "save", "save")
+    assert not press_close(dock), "the window closed without a file name"
+    is_cancelled = False
     assert press_close(dock)
-    volume, flat = (read_study(tmp_path / f"{each}.study").study for each in ("volume", "slice"))
-    assert len(volume.grid.shape) == 3
-    assert len(volume.motion.drawing.marks) == 1
-    assert flat.motion.drawing == OTHER
+    expected = [((64, 64), DRAWING), ((64, 64), OTHER), ((40, 64), DRAWING), ((40, 64, 64), ball)]
+    assert saved() == expected
+    assert len(asked.questions) == 2
+    native = viewer.window._qt_window
+    texts = ["this napari-hmrf study cannot be saved: too long", "the tissue folds"]
+    for text in texts:
+        NapariQtNotification(text, "warning", parent=native).show()
+
+    def shown():
+        return [each.message.text() for each in native.findChildren(NapariQtNotification)]
+
+    assert shown() == texts
+    dock.drawing = Drawing()
+    assert press_close(dock)
+    assert asked.questions[-1].endswith(f"Saving replaces '{files[-1].name}'.")
+    assert saved() == [*expected[:3], ((40, 64, 64), Drawing())]
+    assert not autosaved_files()
+    at_rest.until(lambda: shown() == texts[1:])
+    (other,) = native.findChildren(NapariQtNotification)
+    other.close()
+    at_rest.until(lambda: not shown())
 
 
 def test_a_message_names_the_extent_of_a_saved_study_and_what_is_not_saved(
-    dock_beside, at_rest, tmp_path
+    dock, frame, at_rest, tmp_path
 ):
-    viewer = ViewerModel()
-    dock = dock_beside(viewer)
-    viewer.add_image(np.full((3, 64, 64), 90, np.uint8), name="MR")
+    frame.viewer.add_image(np.full((3, 64, 64), 90, np.uint8), name="MR")
     at_rest()
     dock.drawing = DRAWING
     dock.extent = "volume"
@@ -280,74 +324,29 @@ def test_a_message_names_the_extent_of_a_saved_study_and_what_is_not_saved(
     assert "Not saved yet" not in dock.status
 
 
-def test_one_answer_saves_slices_of_two_orientations(
-    window, press_close, at_rest, tmp_path, monkeypatch
-):
-    names = iter(["axial.study", "coronal.study"])
-    monkeypatch.setattr(
-        QFileDialog, "getSaveFileName", lambda *_: (str(tmp_path / next(names)), "")
-    )
-    viewer, dock = window(slices=40)
-    dock.drawing = DRAWING
-    viewer.dims.order = (1, 0, 2)
-    at_rest()
-    dock.drawing = OTHER
-    asked = Answers(dock, "save")
-    assert press_close(dock)
-    assert len(asked.questions) == 1
-    axial, coronal = (read_study(tmp_path / f"{each}.study").study for each in ("axial", "coronal"))
-    assert (axial.grid.shape, axial.motion.drawing) == ((64, 64), DRAWING)
-    assert (coronal.grid.shape, coronal.motion.drawing) == ((40, 64), OTHER)
-
-
 def test_only_the_window_with_edits_asks_and_quitting_asks_before_any_window_closes(
-    window, press_close, at_rest
+    window, make_napari_viewer, press_close, wait_for, at_rest
 ):
-    (_, first), (_, second) = window("one", shown=True), window("two", shown=True)
+    _, first = window(shown=True)
     first.drawing = DRAWING
-    mine, other = Answers(first, "cancel", "discard"), Answers(second)
-    second.native.window().close(quit_app=True)
-    at_rest()
-    assert first.door.passed == second.door.passed == 0
-    assert press_close(second)
-    assert press_close(first)
-    assert len(mine.questions) == 2
-    assert other.questions == []
-
-
-def test_quitting_from_a_window_without_the_dock_asks_first(
-    window, make_napari_viewer, wait_for, at_rest
-):
-    _, dock = window(shown=True)
-    dock.drawing = DRAWING
-    other = make_napari_viewer(show=True).window._qt_window
+    viewer = make_napari_viewer(show=True)
+    other = viewer.window._qt_window
     other.activateWindow()
     wait_for(lambda: QApplication.focusWindow() is other.windowHandle())
-    asked = Answers(dock, "cancel")
+    asked = Answers(first, "cancel", "discard")
     other.close(quit_app=True)
     at_rest()
     assert len(asked.questions) == 1
-    assert other.isVisible()
-    assert dock.drawing == DRAWING
-
-
-def test_closing_the_dock_writes_its_work_and_closing_the_window_asks_for_it(
-    window, press_close, at_rest, monkeypatch
-):
-    viewer, dock = window()
-    door, native = dock.door, viewer.window._qt_window
-    dock.drawing = DRAWING
-    viewer.window.remove_dock_widget(dock.native)
-    at_rest.until(lambda: len(autosaved_files()) == 1)
-    asked, answers = [], QMessageBox.StandardButton
-    monkeypatch.setattr(
-        QMessageBox, "question", lambda *given: (asked.append(given[2]), answers.Discard)[1]
-    )
-    native.close()
-    at_rest()
-    assert len(asked) == door.passed == 1
-    assert "'MR slice 1'" in asked[0]
-    assert not autosaved_files()
+    assert (first.door.passed, first.drawing, other.isVisible()) == (0, DRAWING, True)
+    second = contributions.dock(viewer)
+    assert second is contributions.dock(viewer)
+    assert second is not first, "two viewers have one dock"
+    second.door = CloseBlocker(other)
+    assert press_close(second)
+    assert len(asked.questions) == 1, "the window without edits asked"
+    second.door.remove()
+    assert press_close(first)
+    assert len(asked.questions) == 2
 
 
 def test_work_of_a_viewer_closed_at_a_prompt_can_be_recovered(
@@ -365,87 +364,46 @@ def test_work_of_a_viewer_closed_at_a_prompt_can_be_recovered(
     assert read_study(file).study.motion.drawing == DRAWING
 
 
-def test_the_question_has_three_answers_and_names_the_file_that_saving_replaces(
-    window, press_close, tmp_path, monkeypatch
-):
-    _, dock = window()
-    dock.drawing = DRAWING
-    shown = []
-
-    def answer(parent, title, question, offered, usual):
-        shown.append((question, offered))
-        return QMessageBox.StandardButton.Cancel
-
-    monkeypatch.setattr(QMessageBox, "question", answer)
-    assert not press_close(dock)
-    ((question, offered),) = shown
-    assert question == "The work on 'MR slice 1' is not saved. Save it before closing?"
-    buttons = QMessageBox.StandardButton
-    assert offered == buttons.Save | buttons.Discard | buttons.Cancel
-    path = dock.save_study(tmp_path / "case")
-    dock.drawing = OTHER
-    offered = []
-    monkeypatch.setattr(
-        QFileDialog, "getSaveFileName", lambda *said: (offered.append(said[2]), ("", ""))[1]
-    )
-    Screen(dock).press("Save study ...")
-    assert offered == [str(path)]
-    asked = Answers(dock, "discard")
-    assert press_close(dock)
-    assert asked.questions[0].endswith("Save it before closing? Saving replaces 'case.study'.")
-
-
 def test_opening_a_study_preserves_the_unsaved_edits_of_another_image(
-    dock_beside, wait_for, tmp_path
+    dock, photo, wait_for, tmp_path
 ):
-    viewer, other = ViewerModel(), ViewerModel()
-    other.add_image(np.full((40, 44), 90, np.uint8), name="saved")
-    first = dock_beside(other)
-    wait_for(lambda: not first.busy)
-    first.drawing = OTHER
-    path = first.save_study(tmp_path / "other")
-    dock = dock_beside(viewer)
-    image = viewer.add_image(np.full((64, 64), 100, np.uint8), name="photo")
-    wait_for(lambda: not dock.busy)
+    saved = Pictures(np.full((40, 44), 90, np.uint8), name="saved")
+    study = Study(Grid((40, 44), (1, 1)), motion=Motion(drawing=OTHER), pictures=saved)
     dock.drawing = DRAWING
-    dock.open_study(path)
+    dock.open_study(write_study(tmp_path / "other", study))
     wait_for(lambda: not dock.busy)
     assert dock.drawing == OTHER
     assert dock.unsaved, "the earlier drawing is not unsaved"
-    dock.image = image
+    dock.image = photo
     wait_for(lambda: not dock.busy)
     assert dock.drawing == DRAWING
     dock.save_study(tmp_path / "photo")
     assert not dock.unsaved
 
 
-def test_edits_are_autosaved_but_not_during_a_drag(window, at_rest, wait_for):
-    viewer, dock = window(slices=0, shown=True)
-    person = Person(viewer, None)
+def test_edits_are_autosaved_but_not_during_a_drag(dock, photo, frame, at_rest):
+    touch = Touch(frame.viewer)
     dock.start()
     at_rest()
     assert not autosaved_files()
-    person.press(30, 30)
-    person.move(36, 38)
+    touch.press(30, 30)
+    touch.move(36, 38)
     at_rest()
     assert not autosaved_files()
-    person.release(36, 38)
+    touch.release(36, 38)
     at_rest.until(lambda: len(autosaved_files()) == 1)
     study, _ = read_study(autosaved_files()[0])
     assert study.motion.drawing == dock.drawing
     dock.clear()
     dock.undo()
     at_rest.until(lambda: read_study(autosaved_files()[0]).study.motion.drawing == dock.drawing)
-    person.key(Qt.Key.Key_Z, CTRL)
+    dock.undo()
     assert not dock.drawing.marks
     at_rest.until(lambda: not autosaved_files())
 
 
-def test_edits_of_a_study_that_cannot_be_solved_are_autosaved(dock_beside, at_rest):
-    viewer = ViewerModel()
-    dock = dock_beside(viewer)
-    viewer.add_image(np.full((64, 64), 100, np.uint8), name="photo")
-    at_rest()
+def test_edits_of_a_study_that_cannot_be_solved_are_autosaved(dock, photo, frame, at_rest):
+    viewer = frame.viewer
     dock.make_layers()
     at_rest()
     tissue, boundary = viewer.layers["Tissue"], viewer.layers["Boundary"]
@@ -515,14 +473,13 @@ LEFT = "Unsaved work"
 
 
 def test_work_of_a_killed_process_is_offered_and_stored_until_it_is_saved(
-    killed_process, dock_beside, wait_for, tmp_path
+    killed_process, new_dock, wait_for, tmp_path
 ):
+    folder = settings() / "unsaved"
     with killed_process():
-        assert LEFT not in Screen(dock_beside(ViewerModel())).words, (
-            "work of a running process is offered"
-        )
+        assert not recovery.abandoned_files(folder), "work of a running process is offered"
     (file,) = autosaved_files()
-    dock = dock_beside(ViewerModel())
+    dock = new_dock(ViewerModel())
     assert f"{LEFT} on 'photo'" in Screen(dock).words
     Screen(dock).press("Open it")
     wait_for(lambda: not dock.busy)
@@ -533,7 +490,7 @@ def test_work_of_a_killed_process_is_offered_and_stored_until_it_is_saved(
     assert dock.unsaved
     (own,) = autosaved_files()
     assert own != file
-    assert LEFT not in Screen(dock_beside(ViewerModel())).words, "recovered work is offered again"
+    assert not recovery.abandoned_files(folder), "recovered work is offered again"
     dock.save_study(tmp_path / "case")
     assert not autosaved_files()
 
@@ -554,14 +511,11 @@ def left_behind(monkeypatch):
     return left
 
 
-def test_a_hundred_held_patches_are_autosaved(dock_beside, at_rest):
+def test_a_hundred_held_patches_are_autosaved(dock, photo, at_rest):
     lattice = {"start": (0, 0), "step": 2, "shape": (33, 33)}
     values = np.random.default_rng(4).normal(0, 0.01, (100, 2 * 33**2))
     marks = (Arrow((32, 32), (0, 0), 32.0, motion=PatchMotion(**lattice, values=v)) for v in values)
-    held, viewer = Drawing(tuple(marks)), ViewerModel()
-    viewer.add_image(np.full((64, 64), 90, np.uint8), name="photo")
-    dock = dock_beside(viewer)
-    dock.drawing = held
+    dock.drawing = held = Drawing(tuple(marks))
     at_rest.until(lambda: len(autosaved_files()) == 1)
     assert read_study(*autosaved_files()).study.motion.drawing == held
 
@@ -570,12 +524,9 @@ NOT_AUTOSAVED = "The work on 'photo' is not autosaved, so a crash would lose it"
 
 
 def test_work_that_cannot_be_autosaved_is_reported_with_the_reason(
-    dock_beside, qtbot, at_rest, monkeypatch
+    dock, photo, qtbot, at_rest, monkeypatch
 ):
     monkeypatch.setattr(array_file, "_HEADER_BYTES", 2**17)
-    viewer = ViewerModel()
-    viewer.add_image(np.full((64, 64), 90, np.uint8), name="photo")
-    dock = dock_beside(viewer)
     points = tuple(map(tuple, np.random.default_rng(0).uniform(0, 60, (3_000, 2)).tolist()))
     dock.drawing = Drawing((Stroke("confidence", (points,), 1.0),))
     # Not with `at_rest`, which would write the long drawing again and again.
@@ -587,11 +538,8 @@ def test_work_that_cannot_be_autosaved_is_reported_with_the_reason(
 
 
 def test_work_without_a_folder_for_recovery_files_is_reported_until_it_is_saved(
-    dock_beside, at_rest, tmp_path
+    dock, photo, at_rest, tmp_path
 ):
-    viewer = ViewerModel()
-    viewer.add_image(np.full((64, 64), 90, np.uint8), name="photo")
-    dock = dock_beside(viewer)
     blocking = settings() / "unsaved"
     blocking.parent.mkdir(parents=True, exist_ok=True)
     blocking.write_text("a file in place of the folder")
@@ -602,75 +550,47 @@ def test_work_without_a_folder_for_recovery_files_is_reported_until_it_is_saved(
     assert NOT_AUTOSAVED not in Screen(dock).words
 
 
-def test_saving_closes_the_notification_of_an_earlier_failure(window, at_rest, tmp_path):
-    viewer, dock = window()
-    dock.drawing = DRAWING
-    native = viewer.window._qt_window
-    texts = ["this napari-hmrf study cannot be saved: too long", "the tissue folds"]
-    for text in texts:
-        NapariQtNotification(text, "warning", parent=native).show()
-
-    def shown():
-        return [each.message.text() for each in native.findChildren(NapariQtNotification)]
-
-    assert shown() == texts
-    dock.save_study(tmp_path / "case")
-    at_rest.until(lambda: shown() == texts[1:])
-    (other,) = native.findChildren(NapariQtNotification)
-    other.close()
-    at_rest.until(lambda: not shown())
-
-
-@pytest.mark.parametrize("drawn", [False, True], ids=["unused", "with a drawing"])
-def test_recovered_work_uses_an_open_image_without_a_drawing(
-    dock_beside, wait_for, left_behind, drawn
-):
+def test_recovered_work_uses_an_open_image_without_a_drawing(new_dock, wait_for, left_behind):
     pixels = np.arange(64 * 64, dtype=np.uint16).reshape(64, 64)
     pictures = Pictures(image=pixels, name="photo")
-    left_behind(Study(Grid((64, 64), (1, 1)), motion=Motion(drawing=DRAWING), pictures=pictures))
+    for _ in range(2):
+        study = Study(Grid((64, 64), (1, 1)), motion=Motion(drawing=DRAWING), pictures=pictures)
+        left_behind(study)
     viewer = ViewerModel()
     viewer.add_image(pixels + np.uint16(1), name="other")
     image = viewer.add_image(pixels, name="photo")
-    dock = dock_beside(viewer)
-    if drawn:
+    dock = new_dock(viewer)
+    for is_unused in (True, False):
+        Screen(dock).press("Open it")
+        wait_for(lambda: not dock.busy)
+        assert dock.drawing == DRAWING
+        assert (dock.image is image) == is_unused
+        dock.image = image
+        wait_for(lambda: not dock.busy)
+        assert dock.drawing == (DRAWING if is_unused else OTHER)
         dock.drawing = OTHER
-    Screen(dock).press("Open it")
-    wait_for(lambda: not dock.busy)
-    assert dock.drawing == DRAWING
-    assert (dock.image is image) == (not drawn)
-    dock.image = image
-    wait_for(lambda: not dock.busy)
-    assert dock.drawing == (OTHER if drawn else DRAWING)
 
 
-@pytest.mark.parametrize(
-    ("name", "lines"), [("Brain", 3), ("a_scan_of_a_knee" * 6, 8)], ids=["short", "long"]
-)
-def test_the_offer_of_unsaved_work_is_whole_and_low(
-    make_napari_viewer, unstyled, at_rest, left_behind, name, lines
-):
+def test_the_offer_of_unsaved_work_is_whole_and_low(new_dock, left_behind, qtbot, at_rest):
+    name = "a_scan_of_a_knee" * 6
     left_behind(Study(Grid((20, 24), (1.0, 1.0)), pictures=Pictures(name=name)))
-    viewer = make_napari_viewer(show=True)
-    viewer.window.resize(1366, 700)
-    dock = dock_in(viewer)
+    dock = new_dock(ViewerModel())
+    dock.native.resize(345, 745)  # as in a window of 1366 x 768 pixels
+    with qtbot.waitExposed(dock.native):
+        dock.native.show()
     at_rest(thread=False)
     (label,) = (each for each in dock.native.findChildren(QLabel) if LEFT in each.text())
-    assert label.height() >= label.heightForWidth(label.width())
-    assert label.height() <= lines * label.fontMetrics().lineSpacing()
-    text = label.text().replace("\u200b", "")
-    assert name in text
-    assert Screen(dock).button("Open it").isVisible()
-    assert label.wordWrap()
+    assert label.heightForWidth(label.width()) <= label.height()
+    assert label.height() <= 8 * label.fontMetrics().lineSpacing()
+    assert name in label.text().replace("\u200b", "")
     longest = max(re.split(r"[ \u200b]", label.text()), key=len)
     assert label.fontMetrics().horizontalAdvance(longest) < label.width(), "a word is cut"
 
 
-def test_unreadable_work_of_a_killed_process_can_be_discarded(
-    dock_beside, left_behind, monkeypatch
-):
+def test_unreadable_work_of_a_killed_process_can_be_discarded(new_dock, left_behind, monkeypatch):
     file = left_behind(Study(Grid((20, 24), (1.0, 1.0)), motion=Motion(drawing=DRAWING)))
     file.write_bytes(file.read_bytes()[:200])
-    dock = dock_beside(ViewerModel())
+    dock = new_dock(ViewerModel())
     thrown = []
     monkeypatch.setattr(QFile, "moveToTrash", lambda each: bool(thrown.append(each.fileName())))
     Screen(dock).press("Open it")

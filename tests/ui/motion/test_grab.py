@@ -5,24 +5,29 @@ import pytest
 from npe2 import PluginManager
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
+from scipy import ndimage
 
-from napari_hmrf.layers.compat import text_of
+from napari_hmrf.layers.compat import drawn_node, text_of
+from napari_hmrf.layers.label_colours import DRAWN
 from napari_hmrf.layers.metadata import METADATA, TISSUE, layer_metadata
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing
-from napari_hmrf.ui.soft_tissue import SoftTissue
+from tests.support.docks import dock_in
+from tests.support.long_work import long_work
 from tests.support.person import CTRL, SHIFT, by_name, only
 from tests.support.pulling import pull
-from tests.support.screen import Screen
+from tests.support.screen import Cell, Screen
 from tests.support.timeouts import LONG_MS
 
 #: Omits napari's controls of layers, which have no effect on these tests.
 bare = pytest.mark.usefixtures("without_controls")
 
 
-def test_tissue_follows_the_mouse_during_a_drag(pulling, settle, qtbot):
+@bare
+def test_tissue_follows_the_mouse_on_the_canvas_and_space_moves_the_view(pulling, settle, qtbot):
     person, widget = pulling
     still = by_name(person.viewer, "MR deformed, elastic").data.copy()
+    corner = person.where(0, 0)
     seen, drawn = [], []
     widget.deformation_changed.connect(seen.append)
     widget.result_drawn.connect(drawn.append)
@@ -35,6 +40,7 @@ def test_tissue_follows_the_mouse_during_a_drag(pulling, settle, qtbot):
     assert (moved != still).mean() > 0.05
     person.release(34, 38)
     settle(widget)
+    assert person.where(0, 0) == corner, "the drag moved the view"
     arrow = only(widget)
     assert arrow.at == pytest.approx((30, 30), abs=0.6)
     assert arrow.by == pytest.approx((4, 8), abs=0.6)
@@ -44,9 +50,64 @@ def test_tissue_follows_the_mouse_during_a_drag(pulling, settle, qtbot):
     assert not field[0].any(), "the edge moved"
     assert 0.5 < np.linalg.norm(field[20, 20]) < 8
     assert np.array_equal(drawn[-1].solution.displacement, field)
-    assert person.viewer.layers.selection.active.name == "Motion"
+    layer = person.viewer.layers.selection.active
+    assert layer.name == "Motion"
     assert by_name(person.viewer, "MR arrows, elastic").metadata[METADATA]["solution"] is not None
     assert widget.study_model.next_undo.word == "pulled tissue"
+    assert not layer.mouse_pan
+    QTest.keyPress(person.canvas, Qt.Key.Key_Space)
+    assert layer.mouse_pan
+    person.drag((50, 50), (54, 54))
+    QTest.keyRelease(person.canvas, Qt.Key.Key_Space)
+    assert person.where(0, 0) != corner, "the view did not move"
+    assert not layer.mouse_pan
+    assert len(widget.drawing.marks) == 1
+    assert layer.cursor == "circle"
+    assert layer.cursor_size == pytest.approx(2 * widget.fields.radius.value)
+
+
+@bare
+def test_marks_have_a_dark_outline_and_fade_while_the_mouse_is_outside_the_canvas(
+    open_window, settle
+):
+    person, widget = open_window(np.full((64, 64), 255, np.uint8))
+    viewer = person.viewer
+    pull(widget, settle)
+    person.drag((44, 40), (44, 45))
+    settle(widget)
+    widget.tool = "pin"
+    person.paint((20, 20), (20, 26))
+    settle(widget)
+    names = "Motion", "Motion, painted"
+
+    def opacities():
+        return [drawn_node(viewer, by_name(viewer, name)).opacity for name in names]
+
+    viewer.mouse_over_canvas = True
+    assert opacities() == [1, 1]
+    viewer.mouse_over_canvas = False  # as napari does when the mouse leaves
+    assert opacities() == pytest.approx([0.2, 0.2])
+    assert [by_name(viewer, name).opacity for name in names] == [1, 1], "a setting was changed"
+    widget.undo()
+    settle(widget)
+    widget.redo()
+    settle(widget)
+    assert opacities() == pytest.approx([0.2, 0.2]), "new layers of marks do not fade"
+    viewer.mouse_over_canvas = True
+    assert opacities() == [1, 1]
+    mesh, one = drawn_node(viewer, by_name(viewer, "Motion")), np.zeros((3, 4), np.float32)
+    assert mesh._build_color_transform(one) is mesh._build_color_transform(one + 1), (
+        "each drag compiles the program of the arrows again"
+    )
+    person.key(Qt.Key.Key_Escape)
+    person.key(Qt.Key.Key_G)
+    settle(widget)
+    for layer in viewer.layers:
+        layer.visible = layer.name in ("MR", "Motion")
+    shot = viewer.screenshot(canvas_only=True, flash=False)[..., :3].astype(int)
+    blue = np.abs(shot - 255 * np.array(DRAWN[:3])).max(axis=-1) < 30
+    near = ndimage.binary_dilation(blue, iterations=3) & ~blue
+    assert (shot[near].max(axis=-1) < 100).mean() > 0.2, "bright tissue touches the arrow"
 
 
 def test_the_distance_of_a_drag_is_shown_until_its_result_is_drawn(open_beside, settle):
@@ -94,13 +155,11 @@ def test_a_drag_on_moved_tissue_pulls_the_displayed_tissue(pulling_beside, settl
     assert widget.study_model.next_undo.word == "held tissue"
 
 
-@pytest.mark.parametrize("key", [Qt.Key.Key_G, Qt.Key.Key_L])
-def test_a_click_beside_the_fixed_edge_moves_no_tissue(pulling_beside, settle, key):
+def test_a_click_beside_the_fixed_edge_moves_no_tissue(pulling_beside, settle):
     person, widget = pulling_beside
     person.drag((30, 14), (30, 22))
     settle(widget)
     before = widget.solution.displacement
-    person.key(key)
     person.key(Qt.Key.Key_Escape)  # so that the new radius does not change the arrow
     widget.fields.radius.value = 8.0
     place = 30, 6 + before[30, 6, 1]
@@ -129,26 +188,6 @@ def test_a_pull_at_the_fixed_edge_reports_folds_and_their_cause(pulling_beside, 
     assert not widget.warning
 
 
-def test_keys_remove_undo_and_redo_an_arrow(pulling_beside, settle):
-    person, widget = pulling_beside
-    person.drag((30, 30), (34, 34))
-    drawn = widget.drawing
-    person.key(Qt.Key.Key_Delete)
-    assert widget.drawing == Drawing()
-    person.key(Qt.Key.Key_Z, CTRL)
-    assert widget.drawing == drawn
-    person.key(Qt.Key.Key_Z, CTRL)
-    assert widget.drawing == Drawing()
-    person.key(Qt.Key.Key_Z, CTRL | SHIFT)
-    assert widget.drawing == drawn
-    person.drag((34, 34), (34, 34))
-    person.key(Qt.Key.Key_Backspace)
-    assert widget.drawing == Drawing()
-    settle(widget)
-    image = by_name(person.viewer, "MR").data
-    assert np.array_equal(by_name(person.viewer, "MR deformed, elastic").data, image)
-
-
 def test_escape_cancels_a_drag(pulling_beside):
     person, widget = pulling_beside
     person.press(30, 30)
@@ -159,25 +198,6 @@ def test_escape_cancels_a_drag(pulling_beside):
     person.release(40, 40)
     assert (widget.drawing, widget.study_model.next_undo) == (Drawing(), None)
     assert widget.status == "Cancelled; the drawing is unchanged."
-
-
-@bare
-def test_the_view_is_fixed_during_a_drag_and_moves_while_space_is_pressed(pulling):
-    person, widget = pulling
-    before = person.where(0, 0)
-    person.drag((30, 30), (34, 34))
-    assert person.where(0, 0) == before
-    layer = by_name(person.viewer, "Motion")
-    assert not layer.mouse_pan
-    native = person.viewer.window._qt_viewer.canvas.native
-    QTest.keyPress(native, Qt.Key.Key_Space)
-    assert layer.mouse_pan
-    person.drag((50, 50), (54, 54))
-    QTest.keyRelease(native, Qt.Key.Key_Space)
-    assert not layer.mouse_pan
-    assert len(widget.drawing.marks) == 1
-    assert layer.cursor == "circle"
-    assert layer.cursor_size == pytest.approx(2 * widget.fields.radius.value)
 
 
 def test_activating_another_layer_pauses_the_tool(pulling_beside):
@@ -239,8 +259,6 @@ def test_the_motion_layer_removed_during_a_drag_is_restored(pulling_beside, sett
     settle(widget)
     Screen(widget).press("Pull")
     assert len(by_name(person.viewer, "Motion").data) > 10
-    person.key(Qt.Key.Key_Z, CTRL)
-    assert not widget.drawing.marks
 
 
 def test_removing_the_image_ends_a_drag(pulling_beside, at_rest):
@@ -254,20 +272,8 @@ def test_removing_the_image_ends_a_drag(pulling_beside, at_rest):
     assert widget.image is None
     assert not widget.drawing.marks
     assert widget.status.startswith("'MR' was deleted with the drawing on it")
-    assert "Motion" not in person.viewer.layers, "nobody would answer it"
-
-
-def test_the_deformed_image_has_the_name_of_a_renamed_image(pulling_beside, settle, wait_for):
-    person, widget = pulling_beside
-    person.press(30, 30)
-    person.move(32, 32)
-    wait_for(lambda: not widget.busy)
-    by_name(person.viewer, "MR").name = "T1"
-    person.move(34, 34)
-    person.release(34, 34)
-    settle(widget)
-    assert "T1 deformed, elastic" in person.viewer.layers
-    assert "MR deformed, elastic" not in person.viewer.layers
+    assert "Motion" not in person.viewer.layers, "no dock would respond to it"
+    assert not Screen(widget).button("Undo").isEnabled()
 
 
 def test_renaming_or_removing_result_layers_does_not_interrupt_a_drag(
@@ -311,19 +317,6 @@ def test_another_image_on_the_same_pixels_has_its_own_result(pulling_beside, set
     settle(widget)
     assert shown.gamma == 0.7, "the user's gamma was reset"
     assert np.array_equal(moved.data, before), "the result of the other image changed"
-
-
-def test_a_slice_without_a_drawing_leaves_no_layers(open_beside, settle):
-    stack = np.random.default_rng(0).integers(50, 200, (3, 48, 64)).astype(np.uint8)
-    person, widget = open_beside(stack, scale=(5, 1, 1))
-    viewer = person.viewer
-    widget.start()
-    settle(widget)
-    for step in (1, 2, 0):
-        viewer.dims.set_current_step(0, step)
-        settle(widget)
-    made = [layer.name for layer in viewer.layers if layer.name.startswith("MR ")]
-    assert made == ["MR deformed, elastic (slice 0)"]
 
 
 def test_each_slice_has_its_own_drawing(open_beside, settle, at_rest):
@@ -389,25 +382,6 @@ def test_void_cannot_be_pulled(open_beside, settle):
 
 
 @bare
-@pytest.mark.campaign  # `test_live_mode.py` has a test of two viewers, too.
-def test_two_viewers_have_separate_drawings(open_window, settle):
-    one, mine = open_window()
-    other, its = open_window()
-    for widget in (mine, its):
-        assert widget.start()
-        settle(widget)
-    one.drag((30, 30), (34, 30))
-    other.drag((40, 40), (40, 36))
-    settle(mine)
-    settle(its)
-    assert only(mine).by == pytest.approx((4, 0), abs=0.6)
-    assert only(its).by == pytest.approx((0, -4), abs=0.6)
-    one.key(Qt.Key.Key_Z, CTRL)
-    assert not mine.drawing.marks
-    assert its.drawing.marks
-
-
-@bare
 def test_closing_a_window_during_a_drag_raises_no_error(pulling, at_rest):
     person, _ = pulling
     person.press(30, 30)
@@ -417,22 +391,40 @@ def test_closing_a_window_during_a_drag_raises_no_error(pulling, at_rest):
 
 
 @bare
-def test_closing_the_dock_removes_the_motion_layer_and_a_new_dock_restores_it(pulling, settle):
+def test_closing_the_dock_during_a_solve_removes_its_layers_and_a_new_dock_restores_them(
+    pulling, settle, at_rest
+):
     person, widget = pulling
-    person.drag((30, 30), (34, 34))
-    drawn = widget.drawing
-    window = person.viewer.window
-    window.remove_dock_widget(widget.native)
-    assert "Motion" not in person.viewer.layers
+    layers, window = person.viewer.layers, person.viewer.window
+    widget.tool = "pin"
+    person.paint((20, 20), (20, 26))
+    settle(widget)
+    told = []
+    widget.deformation_changed.connect(told.append)
+    with long_work():
+        widget.tool = "pull"
+        person.drag((40, 30), (44, 34))
+        drawn = widget.drawing
+        window.remove_dock_widget(widget.native)
+        assert not {"Motion", "Motion, painted"} & {layer.name for layer in layers}
+        assert not text_of(person.viewer).visible
+        at_rest(thread=False)
+    at_rest()
     person.key(Qt.Key.Key_Z, CTRL)
-    again = SoftTissue(person.viewer)
-    window.add_dock_widget(again.native, name="Soft tissue")
-    assert again.start()
+    again = dock_in(person.viewer)
+    assert again is not widget
+    if not again.active:
+        assert again.start()
     settle(again)
     assert again.drawing == drawn
+    assert len(drawn.marks) == 2
     assert len(by_name(person.viewer, "Motion").data) > 10
+    names = [layer.name for layer in layers]
+    assert sum("deformed" in name for name in names) == 1
+    assert not any("[1]" in name for name in names)
     person.key(Qt.Key.Key_Z, CTRL)
-    assert not again.drawing.marks
+    assert len(again.drawing.marks) == 1
+    assert not told, "the closed dock followed an edit"
 
 
 def test_a_script_draws_without_a_mouse(open_beside, settle):
@@ -522,12 +514,16 @@ def test_undo_of_an_edit_on_another_slice_shows_that_slice(open_beside, settle):
 
 
 @bare
-def test_undo_keys_work_while_the_dock_has_the_focus(pulling):
+def test_undo_keys_work_on_the_canvas_in_the_dock_and_in_its_fields(pulling, small_sample):
     person, widget = pulling
     labels = person.viewer.add_labels(np.zeros((64, 64), np.uint8), name="paint")
     person.viewer.layers.selection.active = by_name(person.viewer, "Motion")
     person.drag((30, 30), (34, 34))
     drawn = widget.drawing
+    person.key(Qt.Key.Key_Z, CTRL)
+    assert widget.drawing == Drawing()
+    person.key(Qt.Key.Key_Z, CTRL | SHIFT)
+    assert widget.drawing == drawn
     labels.paint((10, 10), 3)
     person.viewer.layers.selection.active = labels
     box = Screen(widget).button("Pull")
@@ -537,21 +533,29 @@ def test_undo_keys_work_while_the_dock_has_the_focus(pulling):
     assert labels.data.any(), "undo removed paint of napari"
     QTest.keyClick(box, Qt.Key.Key_Z, CTRL | SHIFT)
     assert widget.drawing == drawn
-
-
-@bare
-def test_undo_keys_in_a_field_undo_text_until_the_value_is_accepted(pulling):
-    person, widget = pulling
-    person.drag((30, 30), (34, 34))
-    drawn, field = widget.drawing, widget.fields.radius.native
+    person.viewer.layers.selection.active = by_name(person.viewer, "Motion")
+    field = widget.fields.radius.native
+    person.pick(34, 34)
+    before = widget.drawing
     field.setFocus()
     QTest.keyClicks(field, "1")
     QTest.keyClick(field, Qt.Key.Key_Z, CTRL)
-    assert widget.drawing == drawn, "undo of the text changed the drawing"
+    assert widget.drawing == before, "undo of the text changed the drawing"
     QTest.keyClick(field, Qt.Key.Key_Return)
-    before = widget.drawing
+    accepted = widget.drawing
     QTest.keyClick(field, Qt.Key.Key_Z, CTRL)
-    assert widget.drawing != before
+    assert widget.drawing != accepted
+    small_sample(person.viewer, (64, 64))
+    widget.tissue = by_name(person.viewer, "Tissue")
+    materials, table = widget.materials, widget._form.tissue.table
+    Cell(table, 1, 2).write("33")
+    QTest.keyClick(table, Qt.Key.Key_Z, CTRL)
+    assert widget.materials == materials
+    QTest.keyClick(table, Qt.Key.Key_Z, CTRL | SHIFT)
+    assert widget.materials[1].stiffness == 33
+    person.key(Qt.Key.Key_Y, CTRL)
+    assert person.viewer.dims.ndisplay == 3, "a key of napari has another action"
+    person.viewer.dims.ndisplay = 2
 
 
 @bare
@@ -576,40 +580,6 @@ def test_keys_of_tools_work_after_a_choice_from_a_menu(pulling, settle):
     assert widget.tool == "move"
 
 
-def test_removing_an_image_removes_its_undo_steps(pulling_beside, at_rest):
-    person, widget = pulling_beside
-    person.drag((30, 30), (34, 34))
-    assert Screen(widget).button("Undo").isEnabled()
-    person.viewer.layers.remove("MR")
-    at_rest()
-    assert not Screen(widget).button("Undo").isEnabled()
-    widget.undo()
-    assert widget.status == "There is nothing to undo."
-
-
-def test_an_edit_of_a_table_updates_the_result_and_is_an_undo_step(open_beside, settle):
-    person, widget = open_beside()
-    viewer = person.viewer
-    viewer.layers.clear()
-    PluginManager.instance().discover()  # A window discovers plugins at its start.
-    viewer.open_sample("napari-hmrf", "mass-effect")
-    seen = []
-    widget.deformation_changed.connect(seen.append)
-    assert widget.start()
-    settle(widget)
-    before = seen[-1].ground.stiffness.max()
-    rows = widget.materials
-    widget.materials = (*rows[:-1], Material(rows[-1].label, "scar", 2 * before))
-    settle(widget)
-    assert seen[-1].ground.stiffness.max() == 2 * before
-    widget.drawing = Drawing((Arrow((60, 100), (2, 0), 8.0),))
-    widget.undo()
-    widget.undo()
-    assert widget.materials == rows, "tables and drawings have separate undo orders"
-    settle(widget)
-    assert seen[-1].ground.stiffness.max() == before
-
-
 def test_the_drawing_is_scaled_with_a_new_unit_of_the_image(pulling_beside, settle):
     person, widget = pulling_beside
     person.drag((30, 30), (34, 34))
@@ -630,17 +600,26 @@ def test_a_drag_may_start_at_any_edge_of_the_image(pulling_beside, settle):
     widget.hold_edge = False
     widget.fields.radius.value = 12.0
     rows, cols = widget.image.data.shape
-    for place in ((3, 30), (30, 3), (rows - 4, 30), (30, cols - 4), (3, 3)):
+    for place in ((3, 30), (30, cols - 4), (rows - 4, 3)):
         settle(widget)
         before = len(widget.drawing.marks)
         person.press(*place)
-        for step in (2, 4, 6):
-            person.move(place[0] + step / 2, place[1] + step)
-            settle(widget)
+        person.move(place[0] + 1.5, place[1] + 3)
+        settle(widget)
         person.release(place[0] + 3, place[1] + 6)
         assert len(widget.drawing.marks) == before + 1
         assert widget.drawing.marks[-1].by == pytest.approx((3, 6), abs=0.8)
         widget.clear()
+
+
+def test_the_edge_of_the_tissue_is_fixed_unless_the_option_is_off(pulling_beside, settle):
+    _, widget = pulling_beside
+    widget.drawing = Drawing((Arrow((32, 40), (0, 4), 4.0), Arrow((10, 10), (0, 0), 2.0)))
+    settle(widget)
+    assert np.abs(widget.solution.displacement[32, -1]).max() < 1e-6
+    Screen(widget).tick("Fix outer edge", False)
+    settle(widget)
+    assert widget.solution.displacement[32, -1, 1] > 1
 
 
 def test_air_cannot_be_pulled_and_does_not_fold(open_beside, settle):

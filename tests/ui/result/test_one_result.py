@@ -14,13 +14,9 @@ from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.ui.motion.motion_messages import START
 from napari_hmrf.ui.motion.tools import TOOLS
-from tests.support.docks import dock_in
-from tests.support.person import CTRL, Person
+from tests.support.person import CTRL
 from tests.support.screen import Screen
 from tests.support.windowless import Touch
-
-#: Omits napari's controls of layers, which the tests of single tools include.
-pytestmark = pytest.mark.usefixtures("unstyled", "without_controls")
 
 
 def without_live_mode(dock):
@@ -28,16 +24,6 @@ def without_live_mode(dock):
     dock.settings = replace(dock.settings, device="cpu")
     dock.live = False
     return dock
-
-
-@pytest.fixture
-def user_in_window(make_napari_viewer, small_sample, qtbot, at_rest):
-    """Return a simulated user before a window with a small sample, and the dock."""
-    viewer = make_napari_viewer(show=True)
-    small_sample(viewer, (48, 64))
-    dock = without_live_mode(dock_in(viewer))
-    at_rest()
-    return Person(viewer, qtbot), dock
 
 
 @pytest.fixture
@@ -125,18 +111,6 @@ def test_activating_the_motion_layer_activates_the_tool(pointer_and_dock, settle
     assert np.array_equal(viewer.layers["MR deformed, elastic"].data, pulled)
 
 
-def test_visibility_chosen_by_the_user_is_preserved(pointer_and_dock, settle):
-    person, dock = pointer_and_dock
-    viewer = person.viewer
-    drag_a_patch(person, dock, settle)
-    arrows = viewer.layers["MR arrows, elastic"]
-    for shown, place in ((False, (24, 20)), (True, (34, 20))):
-        arrows.visible = shown
-        person.drag(place, (20, 22))
-        settle(dock)
-        assert arrows.visible == shown
-
-
 def test_the_status_bar_reads_the_displayed_result_while_pulling(pointer_and_dock, run, settle):
     person, dock = pointer_and_dock
     run(dock)
@@ -193,9 +167,9 @@ def test_overlays_are_updated_for_a_new_result_and_removed_if_switched_off(pulle
     assert not parts(viewer, "magnitude")
 
 
-@pytest.mark.parametrize("name", ["magnitude", "labels"])
-def test_an_overlay_is_never_displayed_over_a_newer_image(pulled, run, settle, name):
+def test_an_overlay_is_never_displayed_over_a_newer_image(pulled, run, settle):
     viewer, dock = pulled
+    name = "labels"
     dock.overlay = name
     settle(dock)
     (layer,) = parts(viewer, name)
@@ -265,9 +239,7 @@ def test_all_layers_can_be_removed_at_once(two_images, settle, wait_for):
     assert dock.result is None
 
 
-def test_a_new_pull_resets_a_partial_motion_to_the_full_motion(
-    pointer_and_dock, frame, settle, wait_for
-):
+def test_a_new_pull_resets_a_partial_motion_to_the_full_motion(pointer_and_dock, settle, wait_for):
     person, dock = pointer_and_dock
     viewer = person.viewer
     drag_a_patch(person, dock, settle)
@@ -282,11 +254,6 @@ def test_a_new_pull_resets_a_partial_motion_to_the_full_motion(
     grid = viewer.layers["MR grid, elastic"]
     assert grid.visible
     assert grid.data.shape != before.shape or (grid.data != before).any()
-    whole = picture.data.copy()
-    dock.percent = 40
-    wait_for(lambda: not dock.busy and metadata_of(picture).get("percent") == 40)
-    frame.close(dock)
-    assert np.array_equal(picture.data, whole), "the image of the full motion was not restored"
 
 
 def test_layers_hidden_by_the_user_remain_hidden(pointer_and_dock, run, settle):
@@ -330,105 +297,45 @@ def test_the_result_of_the_displayed_slice_is_selected(frame, small_sample, run,
         assert metadata_of(dock.result)["slice"] == f"slice {number}"
 
 
-def test_a_reopened_dock_replaces_the_existing_result(pointer_and_dock, frame, run):
-    _, first = pointer_and_dock
+def test_a_reopened_dock_continues_with_results_tables_and_edits_made_meanwhile(
+    frame, small_sample, run, settle, qtbot, at_rest
+):
     viewer = frame.viewer
+    small_sample(viewer, (48, 64))
+    first = without_live_mode(frame.open())
     run(first)
-    frame.close(first)
-    for _ in range(2):
-        dock = without_live_mode(frame.open())
-        run(dock)
-        assert deformed_images(viewer) == ["MR deformed, elastic"]
-        frame.close(dock)
-
-
-def test_a_reopened_dock_restores_live_mode(pointer_and_dock, frame, run, settle):
-    _, first = pointer_and_dock
-    viewer = frame.viewer
+    first.overlay = "magnitude"
+    first.drawing = Drawing().with_mark(Arrow((30, 20), (0, 30), 4))
     run(first)
+    settle(first)
+    assert "folds" in first.warning
+    first.tool = "pin"
     frame.close(first)
+    assert not first.warning
+    viewer.layers["Tissue"].data[38:42] = 0
+    told, old = [], first.rules
+    first.deformation_changed.connect(told.append)
     second = frame.open()
     assert second.live
+    assert second.status == START
+    screen = Screen(second)
+    assert not any(screen.button(tool.title).isChecked() for tool in TOOLS)
     settle(second)
-    before = viewer.layers["MR deformed, elastic"].data.copy()
-    second.rules = (second.rules[0], BoundaryRule(2, "move", vector=(0.0, 1.0)))
-    settle(second)
-    assert (viewer.layers["MR deformed, elastic"].data != before).any()
-    assert deformed_images(viewer) == ["MR deformed, elastic"]
-
-
-def test_edits_made_without_a_dock_are_applied_when_a_dock_is_opened(
-    pointer_and_dock, frame, run, settle
-):
-    _, first = pointer_and_dock
-    run(first)
-    assert first.solution.tissue[35, 30]
-    frame.close(first)
-    frame.viewer.layers["Tissue"].data[30:40] = 0
-    second = frame.open()
-    settle(second)
-    assert not second.solution.tissue[35, 30]
-
-
-def test_a_closed_dock_stops_pulling_and_a_new_dock_continues_with_its_layers(
-    user_in_window, settle
-):
-    person, first = user_in_window
-    viewer = person.viewer
-    drag_a_patch(person, first, settle)
-    told = []
-    first.deformation_changed.connect(told.append)
-    viewer.window.remove_dock_widget(first.native)
-    second = without_live_mode(dock_in(viewer))
-    grab(second)
-    settle(second)
-    assert len(second.drawing.marks) == 1
-    second.tool = "pin"
-    person.paint((24, 12), (24, 20))
-    settle(second)
-    assert len(second.drawing.marks) == 2
-    assert not told
-    assert deformed_images(viewer) == ["MR deformed, elastic"]
-    names = [layer.name for layer in viewer.layers]
-    assert len(names) == len({name.partition(" [")[0] for name in names}), names
-    person.key(Qt.Key.Key_Z, CTRL)
-    settle(second)
-    assert not told
-
-
-def test_a_closed_dock_leaves_no_duplicate_overlays(pointer_and_dock, frame, run, settle):
-    _, dock = pointer_and_dock
-    viewer = frame.viewer
-    run(dock)
-    for _ in range(2):
-        dock.overlay = "magnitude"
-        settle(dock)
-        frame.close(dock)
-        dock = without_live_mode(frame.open())
-        run(dock)
-        settle(dock)
-        assert dock.overlay == "magnitude", "the new dock did not restore the overlay"
-    assert len(parts(viewer, "magnitude")) == 1
-    assert np.unique([layer.name for layer in viewer.layers]).size == len(viewer.layers)
-    assert not any("[1]" in layer.name for layer in viewer.layers)
-
-
-def test_a_closed_dock_does_not_edit_the_tables_of_layers(pointer_and_dock, frame, qtbot, at_rest):
-    _, first = pointer_and_dock
-    boundary = frame.viewer.layers["Boundary"]
-    old = first.rules
-    frame.close(first)
-    second = without_live_mode(frame.open())
-    second.rules = (second.rules[0],)
-    boundary.data[20:24, 30:34] = 5
+    assert "folds" in second.warning, "the warning about folds is missing after reopening"
+    assert second.overlay == "magnitude"
+    assert not second.solution.tissue[39, 30]
+    boundary = viewer.layers["Boundary"]
+    boundary.data[20:24, 40:44] = 5
     boundary.refresh()
-    qtbot.waitUntil(lambda: len(second.rules) > 1)
+    qtbot.waitUntil(lambda: len(second.rules) > len(old))
     at_rest()
-    assert first.rules == old
+    settle(second)
+    assert first.rules == old, "the closed dock followed an edit"
+    assert not told
     assert rows_of(boundary, BOUNDARY) == second.rules
-    rules = second.rules
-    frame.close(second)
-    assert without_live_mode(frame.open()).rules == rules
+    assert deformed_images(viewer) == ["MR deformed, elastic"]
+    assert len(parts(viewer, "magnitude")) == 1
+    assert not any("[1]" in layer.name for layer in viewer.layers)
 
 
 # Layers of earlier results
@@ -523,19 +430,6 @@ def test_a_warning_about_folds_is_shown_only_while_the_result_has_folds(folded, 
     widget.drawing = Drawing().with_mark(Arrow((30, 20), (0, 1), 4))
     settle(widget)
     assert not widget.warning
-
-
-def test_a_reopened_dock_shows_no_earlier_message(folded, settle):
-    touch, widget = folded
-    widget.tool = "pin"
-    touch.frame.close(widget)
-    assert not widget.warning
-    again = touch.frame.open()
-    assert again.status == START
-    screen = Screen(again)
-    assert not any(screen.button(tool.title).isChecked() for tool in TOOLS)
-    settle(again)
-    assert "folds" in again.warning, "the warning about folds is missing after reopening"
 
 
 def test_the_status_is_shown_besides_a_warning(folded, settle):
@@ -660,36 +554,6 @@ def test_undo_of_the_only_pull_removes_the_result(pointer_and_dock, settle):
     dock.redo()
     settle(dock)
     assert dock.at((28, 36)) is not None
-
-
-def test_undo_selects_the_image_of_the_undone_drawing(two_images, settle):
-    viewer, dock = two_images
-    dock.image = viewer.layers["MR"]
-    settle(dock)
-    dock.undo()
-    settle(dock)
-    assert dock.image is viewer.layers["CT"]
-    assert not dock.drawing.marks
-    seen = dock.shown
-    assert seen is None or not seen.motion.drawing.marks, (
-        "the displayed result includes the undone mark"
-    )
-
-
-def test_undo_in_the_dock_undoes_paint_if_it_is_the_last_edit(pointer_and_dock, settle):
-    person, dock = pointer_and_dock
-    drag_a_patch(person, dock, settle)
-    Screen(dock).click_row("gel")
-    layer = person.viewer.layers.selection.active
-    before = layer.data.copy()
-    layer.paint((5, 5), 3)
-    assert (layer.data != before).any()
-    Screen(dock).press("Undo")
-    settle(dock)
-    assert (layer.data == before).all()
-    assert dock.drawing.marks, "undo of paint removed a mark"
-    Screen(dock).press("Undo")
-    assert not dock.drawing.marks
 
 
 def test_new_layers_to_paint_on_do_not_change_the_result(pulling_beside, settle):

@@ -27,8 +27,8 @@ from napari_hmrf.solver.optimizers import ICM
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.ui.result.cursor import stiffness_of
 from napari_hmrf.ui.result.result_messages import how_far
-from tests.support.docks import dock_in, quick, viewer_of
-from tests.support.person import SHIFT, Person
+from tests.support.docks import quick, viewer_of
+from tests.support.person import SHIFT
 from tests.support.windowless import Touch
 
 
@@ -197,16 +197,6 @@ def test_dragging_the_slider_pauses_the_player(look, wait_for):
     assert look.percent == 70
 
 
-def test_a_removed_deformed_image_is_made_again_by_the_slider(look, set_to):
-    viewer = viewer_of(look)
-    whole = viewer.layers["MR deformed, paper"].data.copy()
-    viewer.layers.remove("MR deformed, paper")
-    set_to(look, percent=99)
-    assert "MR deformed, paper" in names(viewer)
-    set_to(look, percent=100)
-    np.testing.assert_array_equal(viewer.layers["MR deformed, paper"].data, whole)
-
-
 def test_a_slow_computation_does_not_block_the_window(look, busy_thread, wait_for):
     before = viewer_of(look).layers["MR deformed, paper"].data
     for percent in (10, 20, 30, 40):
@@ -255,33 +245,6 @@ def test_the_undeformed_image_is_shown_while_the_button_is_pressed(look, set_to,
     assert moved.visible
     assert arrows.visible
     assert not labels.visible
-
-
-def test_overlays_are_hidden_while_the_undeformed_image_is_shown(look, set_to):
-    viewer = viewer_of(look)
-    set_to(look, overlay="grid")
-    layer = viewer.layers["MR grid, paper"]
-    look.before = True
-    assert not layer.visible
-    look.before = False
-    assert (look.overlay, layer.visible) == ("grid", True)
-    set_to(look, overlay="magnitude")
-    layer = viewer.layers["MR displacement (px), paper"]
-    look.before = True
-    set_to(look, overlay="jacobian")
-    assert layer.name == "MR area change (ratio), paper"
-    assert layer.visible, "the chosen overlay is hidden"
-    assert not look.before
-
-
-def test_texts_say_that_the_undeformed_image_is_shown(look):
-    look.before = True
-    distance = look._form.result.how_far
-    assert distance.value.startswith("Shown undeformed; at 100 %, tissue moves up to 3 px")
-    assert look._view.cursor.line_at((10, 6)).startswith("at 100 %: moves")
-    look.before = False
-    assert distance.value.startswith("100 %: tissue moved up to 3 px")
-    assert look._view.cursor.line_at((10, 6)).startswith("moves")
 
 
 def test_a_pending_frame_is_not_drawn_over_a_newer_overlay(look, set_to):
@@ -371,15 +334,14 @@ def test_colours_show_displacement_area_change_and_strain(look, set_to):
         look.overlay = "heat"
 
 
-@pytest.mark.parametrize("overlay", ["jacobian", "labels"])
-def test_paint_is_hidden_below_the_colours_of_a_result(look, run, set_to, overlay):
+def test_paint_is_hidden_below_the_colours_of_a_result(look, run, set_to):
     viewer = viewer_of(look)
     for paint in ("Tissue", "Boundary"):
         viewer.layers[paint].visible = True
-    set_to(look, overlay=overlay)
+    set_to(look, overlay="labels")
     for paint in ("Tissue", "Boundary"):
         assert not viewer.layers[paint].visible, "paint tints transparent colours"
-    (name,) = {"MR area change (ratio), paper", "Tissue deformed, paper"} & set(names(viewer))
+    name = "Tissue deformed, paper"
     assert names(viewer)[-2:] == [name, "MR arrows, paper"], "colours cover the arrows"
     for layer in (viewer.layers["Tissue"], viewer.layers["Boundary"]):
         viewer.layers.move(viewer.layers.index(layer), len(viewer.layers))
@@ -452,26 +414,11 @@ def test_a_scale_key_is_shown_while_arrows_are_to_scale(look, set_to):
     assert "Arrows are drawn" not in text.value
     arrows.visible = False
     assert not bar.visible
-
-
-def test_the_scale_key_leaves_the_choice_of_the_user(look):
-    bar, arrows = scale_bar_of(viewer_of(look)), look.result
+    arrows.visible = True
     bar.visible = False
     arrows.visible = False
     arrows.visible = True
-    assert not bar.visible
-    bar.visible = True
-    arrows.visible = False
-    look.on_over(closed=True)
-    assert not bar.visible, "a closed dock leaves its key on the canvas"
-
-
-def test_a_dock_changes_nothing_on_the_canvas_of_a_deleted_window(look):
-    bar, changes = scale_bar_of(viewer_of(look)), []
-    assert bar.visible
-    bar.events.connect(changes.append)
-    look.on_over(closed=False)
-    assert changes == []
+    assert not bar.visible, "the user's choice was changed"
 
 
 def test_arrows_follow_the_slider_before_the_pictures_are_computed(look, set_to, monkeypatch):
@@ -482,7 +429,7 @@ def test_arrows_follow_the_slider_before_the_pictures_are_computed(look, set_to,
     assert jobs
 
 
-@pytest.mark.parametrize("largest", [0.00042, 0.0123, 0.43, 0.49, 0.8, 0.97, 8.3, 44, 72, 96, 450])
+@pytest.mark.parametrize("largest", [0.00042, 0.43, 0.97, 8.3, 96, 450])
 def test_a_colour_bar_has_numbers_on_both_sides_of_zero(largest):
     """Check vispy's ticks, which might show only the 0 between the ends of the scale."""
     reach = reach_of(np.array([largest]), signed=True, least=1e-6)
@@ -508,7 +455,7 @@ def test_colours_show_the_displayed_part_of_the_motion_on_a_fixed_scale(look, se
     set_to(look, overlay="magnitude")
     layer = viewer_of(look).layers["MR displacement (px), paper"]
     solution = metadata_of(look.result)["solution"]
-    for percent in (50, 10, 0, 100):
+    for percent in (50, 0, 100):
         set_to(look, percent=percent)
         np.testing.assert_allclose(layer.data, lengths_of(solution, percent / 100), rtol=1e-5)
         assert layer.contrast_limits == [0, 3], "the scale changes with the part of the motion"
@@ -716,6 +663,10 @@ def test_the_status_bar_shows_the_displayed_strain(look, set_to):
     def said():
         return look._view.cursor.line_at((10, 12))
 
+    assert said().startswith("moves")
+    look.before = True
+    assert said().startswith("at 100 %: moves")
+    look.before = False
     set_to(look, overlay="columns")
     solution = metadata_of(look.result)["solution"]
     along = green_lagrange_strain(
@@ -727,15 +678,6 @@ def test_the_status_bar_shows_the_displayed_strain(look, set_to):
     for other in ("magnitude", "labels", "grid", "nothing"):
         set_to(look, overlay=other)
         assert "strain" not in said()
-
-
-def test_the_status_bar_states_that_values_refer_to_the_full_motion(look, set_to):
-    def said():
-        return look._view.cursor.line_at((10, 20))
-
-    assert said().startswith("moves")
-    set_to(look, percent=30)
-    assert said().startswith("at 100 %: moves")
 
 
 def test_the_status_bar_does_not_wait_for_the_compute_thread(look, busy_thread):
@@ -766,18 +708,8 @@ def test_the_result_of_a_slice_moves_at_its_place_in_the_stack(make_stack, set_t
     assert look._form.result.how_far.value.endswith("mm in z = 2")
     assert look.at((6, 20, 2.5)) is not None
     assert look.at((3, 20, 2.5)) is None, "a point on another slice has a value"
-
-
-def test_a_result_names_its_slice(make_stack, wait_for):
-    look, _ = make_stack
-    viewer = viewer_of(look)
-    wait_for(lambda: not look.busy)
-    line = look._form.result.how_far
     viewer.dims.set_current_step(0, 1)
-    assert line.value.endswith("mm in z = 2")
-    look.percent = 50
-    assert line.value.startswith("50 %")
-    assert line.value.endswith("mm in z = 2")
+    assert look._form.result.how_far.value.endswith("mm in z = 2")
 
 
 def test_the_result_of_a_slice_can_be_removed_at_any_time(make_stack, wait_for):
@@ -825,18 +757,6 @@ def test_a_saved_result_is_displayed_with_and_without_an_image(widget, tmp_path,
     assert metadata_of(viewer.layers["late deformed, paper"])["percent"] == 50
 
 
-def test_a_photograph_is_deformed_in_colour(widget, small_sample, run, set_to):
-    viewer = viewer_of(widget)
-    small_sample(viewer)
-    colours = np.random.default_rng(0).integers(0, 255, (20, 24, 3)).astype(np.uint8)
-    widget.image = viewer.add_image(colours, name="photo", rgb=True)
-    widget.tissue, widget.boundary = viewer.layers["Tissue"], viewer.layers["Boundary"]
-    run(widget)
-    set_to(widget, percent=50)
-    assert viewer.layers["photo deformed, elastic"].rgb
-    assert viewer.layers["photo deformed, elastic"].data.shape == (20, 24, 3)
-
-
 # Pictures
 
 
@@ -875,8 +795,8 @@ def test_a_missing_folder_is_named_in_the_status(look, tmp_path, wait_for):
 # Removed layers and closed windows
 
 
-def test_the_undeformed_view_has_no_effect_without_a_result(frame):
-    viewer, look = frame.viewer, quick(frame.open())
+def test_the_undeformed_view_has_no_effect_without_a_result(widget):
+    viewer, look = viewer_of(widget), widget
     image = viewer.add_image(np.zeros((8, 9)), visible=False)
     Touch(viewer).key(Qt.Key.Key_B, SHIFT)
     look.before = True
@@ -920,18 +840,15 @@ def test_removing_the_arrows_shows_that_they_contain_the_result(look, run, wait_
     assert look.result is viewer_of(look).layers["MR arrows, paper"]
 
 
-@pytest.fixture
-def framed(frame, small_sample, run, wait_for):
-    """Return the viewer and a dock that can be closed, with a result."""
-    look = quick(frame.open())
-    small_sample(frame.viewer)
+def test_a_closed_dock_restores_the_full_motion_and_adds_no_status_until_it_is_opened_again(
+    frame, small_sample, run, set_to, wait_for, at_rest
+):
+    viewer, look = frame.viewer, quick(frame.open())
+    small_sample(viewer)
     run(look)
     wait_for(lambda: not look.busy)
-    return frame.viewer, look
-
-
-def test_closing_the_dock_restores_the_full_motion(framed, frame, set_to, at_rest):
-    viewer, look = framed
+    bar = scale_bar_of(viewer)
+    assert bar.visible
     moved = viewer.layers["MR deformed, paper"]
     whole = moved.data.copy()
     set_to(look, percent=20)
@@ -941,14 +858,7 @@ def test_closing_the_dock_restores_the_full_motion(framed, frame, set_to, at_res
     at_rest()
     np.testing.assert_array_equal(moved.data, whole)
     assert metadata_of(moved)["percent"] == 100
-    viewer.layers.clear()
-    at_rest()
-
-
-def test_a_closed_dock_adds_no_status_and_can_be_opened_again(framed, frame, wait_for, at_rest):
-    viewer, closed = framed
-    frame.close(closed)
-    at_rest()
+    assert not bar.visible, "a closed dock leaves its scale key on the canvas"
     assert "Shift+B" not in [str(key) for key in viewer.keymap]
     viewer.status = "Ready"
     viewer.mouse_over_canvas = True
@@ -972,30 +882,6 @@ def test_data_set_by_other_code_are_not_overwritten_by_the_full_motion(look, set
     assert moved.data is newer
 
 
-def test_the_circle_of_the_cursor_leaves_no_square(
-    unstyled, without_controls, make_napari_viewer, qtbot, at_rest
-):
-    viewer = make_napari_viewer(show=True)
-    viewer.add_image(np.ones((40, 60)), contrast_limits=(0, 1))
-    dock_in(viewer)
-    at_rest()
-    arrows = viewer.add_vectors(np.array([[[2.0, 2.0], [0.0, 1.0]]]))
-    viewer.mouse_over_canvas = True
-    arrows.cursor_size, arrows.cursor = 2, "circle"  # As a tool does.
-    person = Person(viewer, qtbot)
-    person.move(20, 30, button=Qt.MouseButton.NoButton)
-    at_rest()
-
-    def white_at_the_cursor():
-        place, picture = person.where(20, 30), viewer.screenshot(flash=False)
-        rows, cols = (slice(at - 15, at + 15) for at in (place.y(), place.x()))
-        return (picture[rows, cols] == 255).all()
-
-    assert not white_at_the_cursor(), "the circle is not drawn"
-    arrows.cursor = "standard"
-    assert white_at_the_cursor(), "napari's square was not removed"
-
-
 def test_pictures_are_saved_in_a_new_folder_in_the_chosen_place(
     look, tmp_path, wait_for, monkeypatch
 ):
@@ -1008,18 +894,6 @@ def test_pictures_are_saved_in_a_new_folder_in_the_chosen_place(
         look._form.result.save.native.click()
         wait_for(lambda: bool(got))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["MR pictures", "MR pictures 2"]
-
-
-def test_closing_the_window_while_playing_raises_no_error(
-    docked, small_sample, run, wait_for, at_rest
-):
-    viewer = viewer_of(docked)
-    small_sample(viewer)
-    run(docked)
-    wait_for(lambda: not docked.busy)
-    docked.play()
-    viewer.close()
-    at_rest()
 
 
 def test_an_added_layer_has_metadata_of_its_kind_and_source(look, set_to):
