@@ -45,7 +45,7 @@ help:
 	@echo "make solving      time solves of volumes and images: AGAINST=folder compares with another checkout"
 	@echo "make report       write the validation report, docs/validation/README.md, anew: ten minutes"
 	@echo "make hard         write the table of hard tissue, docs/validation/hard.md, anew: an hour"
-	@echo "make mutations    break the window's half in two dozen places, one by one, and see a test fail for each"
+	@echo "make mutations    break the package in more than a hundred places, one by one, and see a test fail for each"
 	@echo "make screenshots  take the pictures of the README and of the tutorial again, from a real window"
 	@echo "make gallery      draw the pictures of the examples and of the notebooks again"
 	@echo "make sample-data  make the files of sample_data/ again"
