@@ -23,7 +23,7 @@ help:
 	@echo "make campaigns    run the tests that take long and repeat a claim of a shorter one"
 	@echo "make docs         build the site of the documentation: docs/_build/index.html"
 	@echo "make format       format the code"
-	@echo "make lint         look for mistakes in style"
+	@echo "make lint         look for mistakes in style, imports and dependencies"
 	@echo "make types        check the types"
 	@echo "make words        count the sentences that break the rules of wording; scripts/words.py lists them"
 	@echo "make benchmarks   print the tables of the paper, measured here"
@@ -85,9 +85,13 @@ format: setup
 	@$(RUN) -m ruff format .
 	@$(RUN) -m ruff check --fix .
 
+# The last line finds personal paths; the brackets keep it from finding itself.
 lint: setup
 	@$(RUN) -m ruff format --check .
 	@$(RUN) -m ruff check .
+	@$(VENV)/bin/lint-imports --no-logo --no-cache
+	@$(RUN) -m deptry napari_hmrf
+	@! git grep -nE '/[h]ome/\w|/[U]sers/\w|/[r]oot\b|[A-Z]:\\[U]sers|/[w]ork/\w|/[t]mp/\w'
 
 types: setup
 	@$(RUN) -m mypy

@@ -4,6 +4,8 @@ import doctest
 import inspect
 import math
 import re
+import subprocess
+import sys
 from typing import get_args
 
 import numpy as np
@@ -134,6 +136,23 @@ def test_the_top_package_has_few_names_and_imports_its_packages_on_demand():
         napari_hmrf.phantom  # noqa: B018
     with pytest.raises(AttributeError, match=r"'napari_hmrf\.tissue' has no attribute 'Material'"):
         napari_hmrf.tissue.Material  # noqa: B018
+
+
+#: Libraries and modules that take long to import.
+HEAVY = ("napari", "qtpy", "PyQt6", "PySide6", "superqt", "magicgui", "moderngl", "glcontext")
+HEAVY += ("numba", "matplotlib", "vispy", "pandas")
+HEAVY += ("scipy.ndimage", "scipy.optimize", "scipy.linalg", "scipy.sparse")
+
+
+def test_importing_the_packages_and_the_commands_loads_no_heavy_library():
+    """Import all packages in one process: no package then loads a heavy library alone, either."""
+    lines = ["import sys"]
+    for package in (*PACKAGES, "napari_hmrf.cli"):
+        lines.append(f"from {package} import *")  # The names, too: some are loaded on first use.
+        lines.append(f"print({package!r}, [n for n in {HEAVY!r} if n in sys.modules])")
+    command = [sys.executable, "-c", "\n".join(lines)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert [line for line in done.stdout.splitlines() if not line.endswith("[]")] == []
 
 
 def test_the_help_lists_every_package_and_its_example_runs():
