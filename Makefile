@@ -89,6 +89,7 @@ lint: setup
 	@$(RUN) -m ruff check .
 	@$(VENV)/bin/lint-imports --no-logo --no-cache
 	@$(RUN) -m deptry napari_hmrf
+	@$(RUN) scripts/structure.py --check
 	@! git grep -nE '/[h]ome/\w|/[U]sers/\w|/[r]oot\b|[A-Z]:\\[U]sers|/[w]ork/\w|/[t]mp/\w'
 
 types: setup
