@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import napari_hmrf
 from napari_hmrf.command_line import parser_of_commands
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -48,6 +49,13 @@ def test_python_blocks_of_the_pages_print_the_shown_output(page):
     doctest.DocTestRunner().run(test, out=said.append)
     assert said == []
     assert test.examples
+
+
+def test_the_example_of_the_package_prints_the_shown_output():
+    (example,) = doctest.DocTestFinder(recurse=False).find(napari_hmrf)
+    said: list[str] = []
+    doctest.DocTestRunner().run(example, out=said.append)
+    assert said == []
 
 
 def test_the_python_example_of_the_readme_gives_the_described_result():
