@@ -205,9 +205,7 @@ def test_a_model_name_selects_the_model(name):
     prior, optimizer = parts_of(name)
     parameters = {"prior": prior.parameters, "optimizer": optimizer.parameters}
     assert model_name(parameters) == name
-    assert Provenance("cpu", "a device", parameters=parameters).model == name, (
-        "the model of older files was not recognised"
-    )
+    assert Provenance("cpu", "a device", parameters=parameters).model == name
 
 
 @pytest.mark.parametrize("parameters", [{}, {"prior": 3}, {"prior": {"name": "?"}}, None, [1]])

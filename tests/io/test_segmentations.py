@@ -215,7 +215,7 @@ def test_a_table_of_materials_is_refused_as_a_list_of_names(tmp_path):
     path.write_text("label,name,poisson\n1,brain,0.4\n")
     with pytest.raises(FileFormatError, match=r"m\.csv: line 1 lacks the column 'stiffness'"):
         tissue_table(path)
-    words = '{"format": "napari-hmrf materials", "version": 1, "materials": [{"label": 1, %s}]}'
+    words = '{"format": "napari-hmrf materials", "version": 4, "materials": [{"label": 1, %s}]}'
     for written, sentence in (
         ('"young": 3', r"m\.json has an unknown key 'young' in material 1\. Did you mean 'stiff"),
         (

@@ -231,21 +231,6 @@ def test_a_study_with_a_hundred_held_patches_is_replayed_bit_by_bit(tmp_path):
     assert header["solution"]["frame"] is None, "the drawing is in the file twice"
 
 
-def test_a_held_patch_in_the_header_of_an_earlier_file_is_read(tmp_path):
-    study = by_held_patches(2)
-    header = header_in(write_study(tmp_path / "new", study))
-    stored_marks = header["motion"]["drawing"]["marks"]
-    for mark, stored in zip(study.motion.drawing.marks, stored_marks, strict=True):
-        if mark.motion is not None:
-            stored["motion"]["values"] = mark.motion.values.tolist()
-    without = dataclasses.replace(study, motion=Motion(hold_edge=True))
-    path = write_study(tmp_path / "without", without)
-    earlier = with_members(
-        path, tmp_path / "earlier.study", header=as_npy(np.array(json.dumps(header)))
-    )
-    assert read_study(earlier).study.motion.drawing == study.motion.drawing
-
-
 @pytest.mark.parametrize("size", [0, 4355, 4357])
 def test_held_patches_with_too_few_or_too_many_displacements_are_refused(size, tmp_path):
     path = write_study(tmp_path / "good", by_held_patches(2))
@@ -443,5 +428,5 @@ def test_a_saved_field_retains_its_unit(tmp_path):
     )
     saved = read_study(write_study(tmp_path / "case", study, in_micrometres)).solution
     assert (saved.spacing, saved.unit) == ((500.0, 800.0), "um")
-    unknown = dataclasses.replace(solution, unit="")  # As written by earlier versions.
+    unknown = dataclasses.replace(solution, unit="")
     assert read_study(write_study(tmp_path / "case", study, unknown)).solution.unit == "millimeter"
