@@ -32,9 +32,9 @@ LIVER = Preset(
 )
 
 
-@pytest.mark.parametrize("preset", [*PRESETS, LIVER], ids=lambda preset: preset.name)
-def test_a_saved_preset_is_read_back_unchanged(tmp_path, preset):
-    assert read_preset(write_preset(tmp_path / "table.json", preset)) == preset
+def test_a_saved_preset_is_read_back_unchanged(tmp_path):
+    for preset in (*PRESETS, LIVER):
+        assert read_preset(write_preset(tmp_path / "table.json", preset)) == preset
 
 
 def test_a_material_file_is_readable_text(tmp_path):
@@ -62,39 +62,40 @@ def spoilt(**changes):
     return {**values, "materials": rows, **{k: v for k, v in changes.items() if k not in of_row}}
 
 
-@pytest.mark.parametrize(
-    ("values", "said"),
-    [
-        ([], "not a material file"),
-        ({"format": "something else"}, "not a material file"),
-        (spoilt(version=5), "later version of napari-hmrf"),
-        (spoilt(version="1"), "version is '1'. It must be: integer"),
-        (spoilt(version=True), "version is 'True'"),
-        (spoilt(unit=3), "unit is '3'. It must be: string"),
-        (spoilt(materials=[]), "material is '[]'. It must be: List should have at least 1"),
-        (spoilt(materials=[5]), "material 1 is '5'"),
-        (spoilt(materials=[{"label": 1}]), "lacks material 1 stiffness"),
-        (spoilt(label=-1), "material 1 label is '-1'. It must be: greater than or equal to 0"),
-        (spoilt(label=1.5), "label is '1.5'"),
-        (spoilt(label=True), "label is 'True'"),
-        (spoilt(stiffness="stiff"), "stiffness is 'stiff'"),
-        (spoilt(stiffness=-2), "stiffness is '-2'"),
-        (spoilt(stiffness=float("nan")), "stiffness is 'nan'"),
-        (spoilt(stiffness=10**400), "stiffness is '1000"),
-        (spoilt(stiffness=float("inf")), "'inf'. It must be: a non-negative number, or \"rigid\""),
-        (spoilt(stiffness="inf"), "stiffness is 'inf'"),
-        (spoilt(stiffness=0), "above 0"),
-        (spoilt(poisson=0.5), "poisson is '0.5'. It must be: less than or equal to 0.499"),
-        (spoilt(poisson=None), "poisson is 'None'"),
-        (spoilt(materials=[{"label": 0, "stiffness": 1}] * 2), "two materials for label 0"),
-    ],
-)
-def test_an_invalid_material_file_is_refused_in_one_sentence_with_its_name(tmp_path, values, said):
+#: Contents of invalid files, and the key or the value that the message names.
+INVALID = [
+    ([], "format"),
+    ({"format": "something else"}, "format"),
+    (spoilt(version=5), "format 5"),
+    (spoilt(version="1"), "version"),
+    (spoilt(version=True), "version"),
+    (spoilt(unit=3), "unit"),
+    (spoilt(materials=[]), "material"),
+    (spoilt(materials=[5]), "material 1"),
+    (spoilt(materials=[{"label": 1}]), "stiffness"),
+    (spoilt(label=-1), "material 1 label"),
+    (spoilt(label=1.5), "label"),
+    (spoilt(label=True), "label"),
+    (spoilt(stiffness="stiff"), "stiffness"),
+    (spoilt(stiffness=-2), "stiffness"),
+    (spoilt(stiffness=float("nan")), "stiffness"),
+    (spoilt(stiffness=10**400), "stiffness"),
+    (spoilt(stiffness=float("inf")), "stiffness"),
+    (spoilt(stiffness="inf"), "stiffness"),
+    (spoilt(stiffness=0), "stiffness"),
+    (spoilt(poisson=0.5), "poisson"),
+    (spoilt(poisson=None), "poisson"),
+    (spoilt(materials=[{"label": 0, "stiffness": 1}] * 2), "label 0"),
+]
+
+
+def test_an_invalid_material_file_is_refused_by_its_name_and_key(tmp_path):
     path = tmp_path / "table.json"
-    path.write_text(json.dumps(values))
-    with pytest.raises(FileFormatError, match=r"^table\.json ") as error:
-        read_preset(path)
-    assert said in str(error.value)
+    for values, name in INVALID:
+        path.write_text(json.dumps(values))
+        with pytest.raises(FileFormatError, match=r"^table\.json ") as error:
+            read_preset(path)
+        assert name in str(error.value)
 
 
 SKULL = Preset("Head", "kPa", "", (Material(1, "brain", 3.0), Material(2, "skull", float("inf"))))
