@@ -219,6 +219,14 @@ def test_the_shell_reports_that_loops_are_compiled(pair, capsys, monkeypatch):
     assert capsys.readouterr().err.endswith("compiling loops (3 of 22), about 9 s left\n")
 
 
+def test_a_larger_smoothness_leads_to_smaller_strains(pair):
+    def largest_change(smoothness):
+        assert register("before.mha", "after.mha", "--smoothness", smoothness, "--force") == 0
+        return np.abs(read_image("out/before jacobian.nrrd").pixels - 1).max()
+
+    assert largest_change("300") < 0.5 * largest_change("1")
+
+
 #: Arguments after FIXED, by the file or option that the message names.
 INVALID = {
     "volume.mha": "volume.mha",
