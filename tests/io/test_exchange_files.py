@@ -161,6 +161,7 @@ def test_a_request_to_an_exiting_idle_decoder_is_sent_again(tmp_path, monkeypatc
     process.kill()
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_a_forked_process_starts_its_own_decoder(tmp_path, monkeypatch):
     script, file, other = tmp_path / "decoder.py", tmp_path / "file", tmp_path / "other"
     script.write_text(READY + ANSWER + ANSWER)

@@ -57,7 +57,7 @@ def test_a_forward_or_backward_field_is_read_in_the_direction_it_was_written(
         field = read_field(path, forward=not forward and suffix != ".h5")
         read = field.displacement
         if case.axes > case.n:  # A slice of a volume; three slices in NIfTI.
-            np.testing.assert_allclose(read[..., 0], 0, atol=1e-6)
+            np.testing.assert_allclose(read[..., 0], 0, atol=1e-5)
             read = read[len(read) // 2, ..., 1:]
         away = np.abs(read - case.displacement) / case.size
         assert away[inside(case)].max() < (1e-4 if forward else 0.02)
