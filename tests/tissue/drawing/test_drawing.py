@@ -392,11 +392,6 @@ def test_a_drawing_survives_storage_as_json(made):
     assert Drawing.from_dict(json.loads(json.dumps(drawing.as_dict()))) == drawing
 
 
-def test_earlier_versions_can_read_a_stored_pull_without_growth():
-    pulls = Arrow((1, 1), (2, 2), 3.0), Landmark((1, 1), (2, 2), 3.0)
-    assert not any("amount" in mark for mark in Drawing(pulls).as_dict()["marks"])
-
-
 @pytest.mark.parametrize(
     "values",
     [
