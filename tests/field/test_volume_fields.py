@@ -8,8 +8,8 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from napari_hmrf import ProblemError, warp
-from napari_hmrf.field.deformation import arrows, deformation_grid, magnitude
+from napari_hmrf import warp
+from napari_hmrf.field.deformation import arrows, magnitude
 from napari_hmrf.field.moved_points import interpolate_linearly, moved_points
 from napari_hmrf.field.strain import (
     deformation_gradient,
@@ -200,17 +200,6 @@ def test_lengths_and_arrows_use_three_components():
     assert 10 < len(found) < 90
     np.testing.assert_allclose(found[:, 1], np.tile(np.array([1, 2, 2]) / SIZE, (len(found), 1)),
                                rtol=1e-5)  # fmt: skip
-
-
-def test_arguments_that_do_not_fit_a_volume_are_rejected():
-    with pytest.raises(ProblemError, match="spacing"):
-        jacobian_determinant(bent(), spacing=(1.0, 1.0))
-    with pytest.raises(ProblemError, match=r"\(D, H, W\)"):
-        warp(np.zeros(SHAPE[1:]), bent(), spacing=1)
-    with pytest.raises(ProblemError, match="slices"):
-        deformation_grid(bent(), spacing=1)
-    with pytest.raises(ProblemError, match="displacement"):
-        warp(np.zeros(SHAPE), np.zeros((*SHAPE, 2)), spacing=1)
 
 
 def test_volumes_can_be_warped_on_several_threads_at_once():

@@ -39,12 +39,35 @@ def both_models(prior, shape, spacing):
     return both
 
 
-@pytest.fixture(params=PRIORS.values(), ids=PRIORS)
+#: Each prior and each grid, at least once.
+CASES = [
+    ("stress", *SHAPES[1]),
+    ("strain", *SHAPES[0]),
+    ("centred", *SHAPES[1]),
+    ("blanket", *SHAPES[1]),
+    ("blanket", *SHAPES[2]),
+]
+cases = pytest.mark.parametrize(
+    ("prior", "shape", "spacing"),
+    [
+        *CASES,
+        *(
+            pytest.param(name, *grid, marks=pytest.mark.campaign)
+            for name in PRIORS
+            for grid in SHAPES
+            if (name, *grid) not in CASES
+        ),
+    ],
+    indirect=["prior"],
+)
+
+
+@pytest.fixture
 def prior(request):
-    return request.param
+    return PRIORS[request.param]
 
 
-@pytest.mark.parametrize(("shape", "spacing"), SHAPES, ids=str)
+@cases
 def test_every_level_matches_the_compiled_loops(prior, shape, spacing):
     loops, plain = both_models(prior, shape, spacing)
     assert len(loops.levels) == len(plain.levels)
@@ -61,7 +84,7 @@ def test_every_level_matches_the_compiled_loops(prior, shape, spacing):
             np.testing.assert_allclose(a, b, rtol=2e-5, atol=1e-30, err_msg=name)
 
 
-@pytest.mark.parametrize(("shape", "spacing"), SHAPES, ids=str)
+@cases
 def test_forces_and_energies_match_the_compiled_loops(prior, shape, spacing):
     loops, plain = both_models(prior, shape, spacing)
     d = np.random.default_rng(1).normal(size=loops.moves.shape)
