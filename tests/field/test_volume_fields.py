@@ -202,6 +202,7 @@ def test_lengths_and_arrows_use_three_components():
                                rtol=1e-5)  # fmt: skip
 
 
+@pytest.mark.campaign
 def test_volumes_can_be_warped_on_several_threads_at_once():
     script = """
 from concurrent.futures import ThreadPoolExecutor

@@ -41,16 +41,16 @@ def test_the_direction_at_the_cursor_defaults_to_that_of_the_camera():
     assert compat.sight_of(viewer) is viewer.cursor._view_direction
 
 
-@pytest.mark.parametrize("kind", [Image, Labels])
-def test_a_hidden_volume_can_be_added_to_a_3d_view(unstyled, make_napari_viewer, kind):
+def test_a_hidden_volume_can_be_added_to_a_3d_view(unstyled, make_napari_viewer):
     viewer = make_napari_viewer()
     viewer.dims.ndisplay = 3
-    layer = kind(np.ones((3, 4, 5), np.uint8), visible=False)
-    compat.slice_hidden(viewer, layer)
-    viewer.add_layer(layer)
-    assert not layer.visible
-    assert viewer.dims.ndisplay == 3
-    layer.visible = True
+    for kind in (Image, Labels):
+        layer = kind(np.ones((3, 4, 5), np.uint8), visible=False)
+        compat.slice_hidden(viewer, layer)
+        viewer.add_layer(layer)
+        assert not layer.visible
+        assert viewer.dims.ndisplay == 3
+        layer.visible = True
 
 
 def test_the_brush_circle_has_no_box():

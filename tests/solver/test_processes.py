@@ -60,8 +60,8 @@ def run_script(tmp_path, script, *arguments):
 @pytest.mark.parametrize(
     "methods",
     [
-        multiprocessing.get_all_start_methods()[:2],
-        pytest.param(multiprocessing.get_all_start_methods()[2:], marks=pytest.mark.campaign),
+        ["spawn"],
+        pytest.param(multiprocessing.get_all_start_methods(), marks=pytest.mark.campaign),
     ],
     ids=",".join,
 )
@@ -71,11 +71,13 @@ def test_child_processes_reproduce_the_solution_of_the_parent(tmp_path, methods)
 
 AFTER_OPENGL = """
 import os
+import threading
 
 import numpy as np
 
 from napari_hmrf import BackendError, SeilerPrior, solve
 from napari_hmrf.data import phantom
+from napari_hmrf.solver.backends.thread import compute_thread
 
 problem = phantom("expansion", size=40).problem
 expected = solve(problem, SeilerPrior(), backend="opengl").displacement
@@ -95,20 +97,7 @@ assert np.array_equal(solve(problem, SeilerPrior(), backend="opengl").displaceme
 """
 
 
-@needs_fork
-def test_a_forked_process_solves_with_the_loops_instead_of_opengl(tmp_path):
-    require_opengl()
-    run_script(tmp_path, AFTER_OPENGL)
-
-
 DURING_A_JOB = """
-import os
-import threading
-
-from napari_hmrf import BackendError, SeilerPrior, solve
-from napari_hmrf.data import phantom
-from napari_hmrf.solver.backends.thread import compute_thread
-
 problem = phantom("expansion", size=24).problem
 begun, go_on = threading.Event(), threading.Event()
 job = compute_thread.submit(lambda: (begun.set(), go_on.wait()))
@@ -138,8 +127,9 @@ assert compute_thread.submit(fork_and_solve).result() == 0, "the fork in a job f
 
 
 @needs_fork
-def test_a_fork_during_a_job_raises_an_error_with_a_remedy(tmp_path):
-    run_script(tmp_path, DURING_A_JOB)
+def test_a_fork_solves_without_opengl_and_a_fork_during_a_job_raises_an_error(tmp_path):
+    require_opengl()
+    run_script(tmp_path, AFTER_OPENGL + DURING_A_JOB)
 
 
 SAVING = """

@@ -70,7 +70,10 @@ def test_a_pushed_block_climbs_a_wedge():
     assert abs(moved[depth > 0]).max() <= 0.05
 
 
-@pytest.mark.parametrize(("axes", "size", "radius"), [(2, 64, 20), (3, 24, 8)])
+@pytest.mark.parametrize(
+    ("axes", "size", "radius"),
+    [(2, 64, 20), pytest.param(3, 24, 8, marks=pytest.mark.campaign)],
+)
 def test_a_disc_turns_in_a_ring_and_a_ball_in_a_shell(axes, size, radius):
     away, inside, turn = turning(size, radius, axes)
     held = away < radius / 3

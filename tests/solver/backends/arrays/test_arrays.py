@@ -1,8 +1,5 @@
 """NumPy models of the host, compared with the compiled models."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 
@@ -135,10 +132,3 @@ def test_nan_displacements_are_detected():
     values[1, 2, 0] = np.nan
     exact.settle(values, np.ones((3, 4), dtype=bool), np.float32(1), finite)
     assert finite.tolist() == [True, False, True]
-
-
-def test_the_array_models_do_not_import_numba():
-    code = "import sys; from napari_hmrf.solver.backends.arrays import elastic, exact, seiler; "
-    code += "print('numba' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "False"

@@ -271,8 +271,7 @@ def graded_torn(shape=(45, 61)) -> Problem:
         [
             ("compute", ElasticPrior(0.45), 1e4, OBLONG),
             ("fragment", ElasticPrior(0.45, plane="strain"), 10.0, (1.0, 1.5)),
-            ("compute", CENTRED, 20.0, OBLONG),
-            ("fragment", BLANKET, 20.0, OBLONG),
+            ("fragment", CENTRED, 20.0, OBLONG),
         ],
         [
             *((stage, ElasticPrior(0.0), 1e4, SQUARE) for stage in ("compute", "fragment")),
@@ -282,8 +281,8 @@ def graded_torn(shape=(45, 61)) -> Problem:
             ("compute", ElasticPrior(0.45, plane="strain"), 10.0, (1.0, 1.5)),
             *((stage, CENTRED, 20.0, SQUARE) for stage in ("compute", "fragment")),
             *((stage, BLANKET, 20.0, SQUARE) for stage in ("compute", "fragment")),
-            ("fragment", CENTRED, 20.0, OBLONG),
-            ("compute", BLANKET, 20.0, OBLONG),
+            ("compute", CENTRED, 20.0, OBLONG),
+            *((stage, BLANKET, 20.0, OBLONG) for stage in ("compute", "fragment")),
         ],
     ),
     indirect=["stage"],
