@@ -14,21 +14,19 @@ SEED ?= 0
 # How many random problems `make cavities` solves.
 PROBLEMS ?= 2000
 
-.PHONY: help setup setup-for-windows setup-for-report setup-for-docs demo test campaigns docs format lint types words lines routes structure benchmarks live dragging trust cavities uncertainty edits folds soak damaged disks volumes roofline solving hard report mutations screenshots gallery sample-data constraints clean
+.PHONY: help setup setup-for-windows setup-for-report setup-for-docs demo test campaigns docs format lint types routes structure benchmarks live dragging trust cavities uncertainty edits folds soak damaged disks volumes roofline solving hard report mutations screenshots gallery sample-data constraints clean
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make demo         deform the sample brain; pictures in demo-output/, napari where there is a display"
 	@echo "make test         run the tests"
-	@echo "make campaigns    run the tests that take long and repeat a claim of a shorter one"
+	@echo "make campaigns    run the long tests: further cases, the examples, the notebooks, the wheel"
 	@echo "make docs         build the site of the documentation: docs/_build/index.html"
 	@echo "make format       format the code"
-	@echo "make lint         look for mistakes in style"
+	@echo "make lint         look for mistakes in style, imports and dependencies"
 	@echo "make types        check the types"
-	@echo "make words        count the sentences that break the rules of wording; scripts/words.py lists them"
 	@echo "make benchmarks   print the tables of the paper, measured here"
 	@echo "make live         measure how fast tissue follows the mouse, without and with a window"
-	@echo "make lines        count the lines of code, folder by folder"
 	@echo "make routes       print the modules that Deform and a drag pass through"
 	@echo "make structure    write the diagram of the subpackages to docs/development/architecture.md"
 	@echo "make dragging     time from the mouse to the picture: AGAINST=folder compares with another checkout"
@@ -45,7 +43,7 @@ help:
 	@echo "make solving      time solves of volumes and images: AGAINST=folder compares with another checkout"
 	@echo "make report       write the validation report, docs/validation/README.md, anew: ten minutes"
 	@echo "make hard         write the table of hard tissue, docs/validation/hard.md, anew: an hour"
-	@echo "make mutations    break the window's half in two dozen places, one by one, and see a test fail for each"
+	@echo "make mutations    break the package in more than a hundred places, one by one, and see a test fail for each"
 	@echo "make screenshots  take the pictures of the README and of the tutorial again, from a real window"
 	@echo "make gallery      draw the pictures of the examples and of the notebooks again"
 	@echo "make sample-data  make the files of sample_data/ again"
@@ -85,18 +83,17 @@ format: setup
 	@$(RUN) -m ruff format .
 	@$(RUN) -m ruff check --fix .
 
+# The last line finds personal paths; the brackets keep it from finding itself.
 lint: setup
 	@$(RUN) -m ruff format --check .
 	@$(RUN) -m ruff check .
+	@$(VENV)/bin/lint-imports --no-logo --no-cache
+	@$(RUN) -m deptry napari_hmrf
+	@$(RUN) scripts/structure.py --check
+	@! git grep -nE '/[h]ome/\w|/[U]sers/\w|/[r]oot\b|[A-Z]:\\[U]sers|/[w]ork/\w|/[t]mp/\w'
 
 types: setup
 	@$(RUN) -m mypy
-
-words:
-	@$(PYTHON) scripts/words.py
-
-lines:
-	@$(PYTHON) scripts/lines.py
 
 benchmarks: setup
 	@$(RUN) benchmarks/run.py

@@ -4,7 +4,8 @@ The pages are also readable in the repository, where a link names a file. Three 
 completed during the build: files at the top of the repository are inserted into pages that hold
 only a title, notebooks become Markdown, and the reference of the shell is made from its parser. The
 first page of a folder is its README; the menu lists the pages that it links. The build reads no
-other site.
+other site. It also warns of public names that the reference does not describe, and of links to
+missing files in Markdown that is no page.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ import re
 import tomllib
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
+
+from sphinx.util import logging
 
 DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
@@ -54,6 +57,7 @@ html_title = f"{project} {version}"
 html_show_copyright = False
 html_copy_source = False
 
+_logger = logging.getLogger(__name__)
 _LINK = re.compile(r"(\]\()(?!https?:|#)([^)#\s]+)(#[^)\s]*)?(\))")
 
 
@@ -185,8 +189,30 @@ def unlink(_app, doctree):
             link.replace_self(link.children)
 
 
+def check_links(_app):
+    """Warn of links to missing files in the Markdown of other folders, which the site omits."""
+    for page in sorted(ROOT.glob("[a-z]*/*.md")):
+        for _, target, _, _ in _LINK.findall(page.read_text(encoding="utf-8")):
+            if page.parent != DOCS and not (page.parent / target).exists():
+                _logger.warning("%s links a missing file: %s", page.relative_to(ROOT), target)
+
+
+def check_reference(_app, env):
+    """Warn of public names that the reference does not describe."""
+    import napari_hmrf
+
+    described = env.get_domain("py").objects
+    packages = [getattr(napari_hmrf, each) for each in napari_hmrf._PACKAGES]
+    for package in (napari_hmrf, *packages):
+        for name in package.__all__:
+            if f"{package.__name__}.{name}" not in described:
+                _logger.warning("the reference lacks %s.%s", package.__name__, name)
+
+
 def setup(app):
     """Connect the functions above; called by Sphinx."""
+    app.connect("builder-inited", check_links)
+    app.connect("env-check-consistency", check_reference)
     app.connect("source-read", show)
     app.connect("autodoc-process-docstring", remember, priority=400)
     app.connect("autodoc-process-docstring", restore, priority=600)

@@ -3,8 +3,8 @@
     python scripts/campaigns.py                                      # run the campaigns
     python scripts/campaigns.py --page docs/validation/campaigns.md  # also write the summary
 
-The campaigns are marked with `pytest.mark.campaign`. Each campaign repeats a claim of a regular
-test for additional cases.
+The campaigns are marked with `pytest.mark.campaign`. They repeat claims of regular tests for
+additional cases, and run examples, notebooks, the code in the documentation, and the wheel.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from xml.etree import ElementTree
 ROOT = Path(__file__).resolve().parent.parent
 HEAD = """# Campaigns
 
-Long tests that repeat a claim of a short test for further cases; written by `make campaigns`.
+Campaigns are long tests: further cases of short tests, the examples, the code in the documentation,
+the notebooks and the wheel. `make campaigns` wrote this page.
 
 | test | passed | skipped | failed |
 | --- | ---: | ---: | ---: |

@@ -1,17 +1,19 @@
 """Diagram and table of the subpackages of the package, and of the imports between them.
 
-    python scripts/structure.py [--write]
+    python scripts/structure.py [--write | --check]
 
 Each row of the diagram may import from the rows below it; the subpackages in the lowest row do not
 import other subpackages. The table has the first sentence of each docstring, and the imports
 without those that follow from other imports. With ``--write``, the diagram and the table are
-written to `docs/development/architecture.md`, between the markers.
+written to `docs/development/architecture.md`, between the markers. With ``--check``, the script
+fails if that page has another structure.
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
+import sys
 from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
@@ -151,8 +153,14 @@ def update_page() -> str:
 def main() -> None:
     """Print the structure, or write it to the page."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--write", action="store_true", help="write the structure to the page")
-    if parser.parse_args().write:
+    task = parser.add_mutually_exclusive_group()
+    task.add_argument("--write", action="store_true", help="write the structure to the page")
+    task.add_argument("--check", action="store_true", help="fail if the page is outdated")
+    options = parser.parse_args()
+    if options.check:
+        if PAGE.read_text(encoding="utf-8") != update_page():
+            sys.exit(f"{PAGE.relative_to(ROOT)} is outdated; run `make structure`")
+    elif options.write:
         PAGE.write_text(update_page(), encoding="utf-8")
         print(f"written: {PAGE.relative_to(ROOT)}")
     else:

@@ -1,9 +1,10 @@
 """Tests of the public interface: exported names, signatures and errors."""
 
-import doctest
 import inspect
 import math
 import re
+import subprocess
+import sys
 from typing import get_args
 
 import numpy as np
@@ -16,7 +17,6 @@ from napari_hmrf import (
     BoundaryRule,
     ElasticPrior,
     HmrfError,
-    LiveSolver,
     Material,
     Multigrid,
     NeoHookeanPrior,
@@ -34,69 +34,6 @@ from tests.support.public_names import PACKAGES, public_names
 
 #: Public objects by name, without their packages.
 NAMES = {full.rpartition(".")[2]: found for full, found in public_names().items()}
-#: Number of arguments that may be given by position.
-WHAT_A_CALL_IS_ABOUT = {
-    "BoundaryRule": 2,
-    "ElasticPrior": 1,
-    "ICM": 1,
-    "Landmarks": 2,
-    "LiveSolver": 2,
-    "Loads": 0,
-    "MeasuredMotion": 3,
-    "Multigrid": 1,
-    "NeoHookeanPrior": 1,
-    "Picture": 1,
-    "Problem": 3,
-    "RandomDeformation": 2,
-    "SeilerPrior": 0,
-    "SlidingParts": 1,
-    "StrainScale": 1,
-    "StiffnessCurve": 1,
-    "Warper": 1,
-    "arrows": 1,
-    "edge_confidence": 1,
-    "chest_phantom": 1,
-    "head_phantom": 1,
-    "boundary_images": 2,
-    "count_folds": 1,
-    "deformation_gradient": 1,
-    "deformation_grid": 1,
-    "fold_mask": 1,
-    "green_lagrange_strain": 1,
-    "growth": 1,
-    "inverse_map": 1,
-    "jacobian_determinant": 1,
-    "resample": 3,
-    "read_study": 1,
-    "materials_by_name": 1,
-    "pressure": 3,
-    "sliding_precision": 2,
-    "reactions": 3,
-    "cavity": 2,
-    "traction": 3,
-    "weight": 2,
-    "write_movie": 3,
-    "read_field": 1,
-    "register": 2,
-    "fit": 2,
-    "fit_study": 2,
-    "sample_posterior": 3,
-    "check_agreement": 2,
-    "fit_scale": 2,
-    "stiffness_map": 2,
-    "study_uncertainty": 2,
-    "uncertainty": 3,
-    "replay": 1,
-    "write_points": 3,
-    "write_study": 3,
-    "small_strain": 1,
-    "solve": 2,
-    "solve_cases": 2,
-    "solve_study": 1,
-    "warp": 2,
-    "write_field": 2,
-    "write_truth": 2,
-}
 
 
 def test_a_script_with_exported_names_builds_solves_and_measures_tissue():
@@ -115,68 +52,53 @@ def test_a_script_with_exported_names_builds_solves_and_measures_tissue():
     assert bright(np.uint8([[0, 255]])).tolist() == [[1, 100]]
 
 
-def test_every_exported_name_exists_once_and_has_a_docstring():
+def test_every_exported_name_exists_once_and_documents_its_parameters():
     assert len(NAMES) == len(public_names()), "two packages export the same name"
     for module in PACKAGES.values():
         assert len(module.__all__) == len(set(module.__all__))
     for found in NAMES.values():
         assert not inspect.ismodule(found)
-        assert not callable(found) or inspect.getdoc(found)
+    for name, found in NAMES.items():
+        text = inspect.getdoc(found) or ""
+        assert not callable(found) or text, name
+        if inspect.isfunction(found):
+            assert not inspect.signature(found).parameters or "Parameters\n-----" in text, name
+        elif inspect.isclass(found) and not issubclass(found, Exception):
+            assert re.search(r"^(Parameters|Attributes)\n-----", text, re.M), name
 
 
-def test_the_top_package_has_few_names_and_imports_its_packages_on_demand():
-    assert len(napari_hmrf.__all__) < 40
+def test_at_most_two_options_of_a_function_are_given_by_position():
+    for name, found in NAMES.items():
+        if inspect.isfunction(found):
+            given = inspect.signature(found).parameters.values()
+            options = [each for each in given if each.default is not each.empty]
+            assert len([o for o in options if o.kind is o.POSITIONAL_OR_KEYWORD]) <= 2, name
+
+
+def test_the_top_package_imports_its_packages_on_demand():
     for package, module in PACKAGES.items():
         name = package.removeprefix("napari_hmrf").lstrip(".")
         assert not name or getattr(napari_hmrf, name) is module
         assert set(module.__all__) <= set(dir(module))
-    with pytest.raises(AttributeError, match="'napari_hmrf' has no attribute 'phantom'"):
-        napari_hmrf.phantom  # noqa: B018
-    with pytest.raises(AttributeError, match=r"'napari_hmrf\.tissue' has no attribute 'Material'"):
-        napari_hmrf.tissue.Material  # noqa: B018
+    assert not hasattr(napari_hmrf, "phantom")
+    assert not hasattr(napari_hmrf.tissue, "Material")
 
 
-def test_the_help_lists_every_package_and_its_example_runs():
-    page = inspect.getdoc(napari_hmrf)
-    for package, module in PACKAGES.items():
-        assert re.search(rf"^{package} +\w", page, re.M), package
-        assert inspect.getdoc(module), package
-    (example,) = doctest.DocTestFinder(recurse=False).find(napari_hmrf)
-    assert len(example.examples) <= 10
-    said: list[str] = []
-    doctest.DocTestRunner().run(example, out=said.append)
-    assert said == []
+#: Libraries and modules that take long to import.
+HEAVY = ("napari", "qtpy", "PyQt6", "PySide6", "superqt", "magicgui", "moderngl", "glcontext")
+HEAVY += ("numba", "matplotlib", "vispy", "pandas")
+HEAVY += ("scipy.ndimage", "scipy.optimize", "scipy.linalg", "scipy.sparse")
 
 
-def test_functions_for_files_begin_with_read_or_write():
-    methods = {each for found in NAMES.values() if isinstance(found, type) for each in dir(found)}
-    verbs = {name.partition("_")[0] for name in {*NAMES, *methods}}
-    assert {"read", "write"} <= verbs
-    assert not verbs & {"save", "open", "dump", "store"}
-    assert not [name for name in NAMES if name.startswith("load_")], "'load' denotes a force here"
-
-
-@pytest.mark.parametrize(("name", "count"), WHAT_A_CALL_IS_ABOUT.items())
-def test_optional_arguments_are_keyword_only(name, count):
-    parameters = inspect.signature(NAMES[name]).parameters.values()
-    unnamed = [each for each in parameters if each.kind is each.POSITIONAL_OR_KEYWORD]
-    assert len(unnamed) == count
-
-
-def test_every_callable_with_options_is_in_the_list():
-    """Except `phantom(name, size)` and records: rows of tables, marks, studies and results."""
-    records = {"Material", "Monitor", "Phantom", "Provenance", "Solution", "phantom"}
-    records |= {"Study", "Grid", "Frame", "Tissue", "Motion", "Cavity", "Pictures"}
-    records |= {"Field", "LandmarkFile", "Measurement", "NamedMaterials", "Fit"}
-    records |= {"BatchProgress", "Case", "CaseOutcome", "NamedCase", "Update"}
-    records |= {"Drawing", "Arrow", "Landmark", "Stroke"}
-    choices = set()
-    for name, found in NAMES.items():
-        if callable(found) and not (isinstance(found, type) and issubclass(found, Exception)):
-            given = inspect.signature(found).parameters.values()
-            if any(each.default is not each.empty for each in given):
-                choices.add(name)
-    assert choices - records - {"equivalent_strain"} <= set(WHAT_A_CALL_IS_ABOUT)
+def test_importing_the_packages_and_the_commands_loads_no_heavy_library():
+    """Import all packages in one process: no package then loads a heavy library alone, either."""
+    lines = ["import sys"]
+    for package in (*PACKAGES, "napari_hmrf.cli"):
+        lines.append(f"from {package} import *")  # The names, too: some are loaded on first use.
+        lines.append(f"print({package!r}, [n for n in {HEAVY!r} if n in sys.modules])")
+    command = [sys.executable, "-c", "\n".join(lines)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert [line for line in done.stdout.splitlines() if not line.endswith("[]")] == []
 
 
 def test_the_default_model_is_elastic_and_a_result_names_its_model(tmp_path):
@@ -196,8 +118,6 @@ def test_the_default_model_is_elastic_and_a_result_names_its_model(tmp_path):
     for solution in models:
         path = solution.write(tmp_path / "kept.npz")
         assert Solution.read(path).provenance.model == solution.provenance.model
-        with np.load(path, allow_pickle=False) as file:
-            assert f'"model": "{solution.provenance.model}"' in str(file["header"])
 
 
 @pytest.mark.parametrize("name", get_args(ModelName))
@@ -205,9 +125,7 @@ def test_a_model_name_selects_the_model(name):
     prior, optimizer = parts_of(name)
     parameters = {"prior": prior.parameters, "optimizer": optimizer.parameters}
     assert model_name(parameters) == name
-    assert Provenance("cpu", "a device", parameters=parameters).model == name, (
-        "the model of older files was not recognised"
-    )
+    assert Provenance("cpu", "a device", parameters=parameters).model == name
 
 
 @pytest.mark.parametrize("parameters", [{}, {"prior": 3}, {"prior": {"name": "?"}}, None, [1]])
@@ -339,51 +257,10 @@ def test_any_wrong_argument_is_refused_with_a_short_error_of_the_package(
     assert [each for each in said if len(each) > 400 or "\n" in each] == []
 
 
-@pytest.mark.parametrize(
-    ("mistake", "says"),
-    [
-        (lambda: solve(IMAGE), r"problem is array.*of type ndarray\. Pass a Problem"),
-        (lambda: solve(PROBLEM, Multigrid()), r"prior is Multigrid.*Pass a prior: ElasticPrior"),
-        (lambda: solve(PROBLEM, optimizer=ElasticPrior()), "optimizer is .*Pass an optimizer"),
-        (lambda: solve(PROBLEM, optimizer=Multigrid), "optimizer is .*Pass an optimizer"),
-        (lambda: LiveSolver(3), "deliver is 3, of type int. Pass a function to call"),
-        (lambda: Multigrid("x"), "tolerance must be a positive number, in pixels, not 'x'"),
-        (lambda: ICM(steps=3), r"steps must be positive numbers, such as \(1, 0.1\).*, not 3"),
-        (lambda: ICM("many"), "iterations must be a positive whole number, not 'many'"),
-        (lambda: SeilerPrior(conditional="both"), 'must be "centred" or "blanket", not \'both\''),
-        (lambda: ElasticPrior("a"), "poisson: is 'a', of type str. Pass real numbers"),
-        (lambda: ElasticPrior(0.6), "poisson must be from 0 to 0.499, not 0.6"),
-        (lambda: Problem("a", 1, 2), r"stiffness: has shape \(\), but a 2-D image"),
-        (lambda: Problem("a", HELD, IMAGE), "observed: is 'a', of type str. Pass real numbers"),
-        (lambda: stiffness_image(LABELS, {1: 5.0}), "materials must be a list of Material"),
-        (
-            lambda: napari_hmrf.data.phantom("liver"),
-            "unknown phantom 'liver'; use one of expansion",
-        ),
-    ],
-)
-def test_an_error_names_the_given_value_and_the_expected_value(mistake, says):
-    with pytest.raises(HmrfError, match=says) as refused:
-        mistake()
-    assert isinstance(refused.value, ValueError), "the error is no ValueError"
-
-
-def test_an_argument_of_a_wrong_type_raises_a_type_error():
+def test_an_argument_of_a_wrong_type_raises_a_type_error_that_is_a_value_error():
     with pytest.raises(TypeError):
         solve(IMAGE)
-    assert issubclass(ArgumentError, TypeError)
-
-
-def test_every_public_function_documents_its_parameters_and_return_value():
-    for name, found in NAMES.items():
-        text = inspect.getdoc(found) or ""
-        if inspect.isfunction(found):
-            signature = inspect.signature(found)
-            returns = signature.return_annotation not in (None, "None")
-            assert not signature.parameters or "Parameters\n-----" in text, name
-            assert not returns or "Returns\n-----" in text, name
-        elif inspect.isclass(found) and not issubclass(found, Exception):
-            assert re.search(r"^(Parameters|Attributes)\n-----", text, re.M), name
+    assert issubclass(ArgumentError, ValueError)
 
 
 def test_a_function_of_a_displacement_requires_its_spacing():

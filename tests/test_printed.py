@@ -1,7 +1,6 @@
 """Tests of the `repr` of public records, which fits on one line."""
 
 import numpy as np
-import pytest
 
 from napari_hmrf import (
     ICM,
@@ -52,11 +51,3 @@ def test_every_public_record_is_printed_in_a_short_line(tmp_path):
     ]
     printed = {type(each).__name__: repr(each) for each in records}
     assert {name: said for name, said in printed.items() if "\n" in said or len(said) > 300} == {}
-
-
-@pytest.mark.parametrize("prior", [ElasticPrior, NeoHookeanPrior])
-def test_a_prior_is_printed_with_the_shape_of_its_map_of_ratios(prior):
-    assert repr(prior(RATIOS)).startswith(
-        f"{prior.__name__}(poisson=map of 20 x 30, plane='stress'"
-    )
-    assert "poisson=0.3, plane='strain', penalty=2.0" in repr(prior(0.3, plane="strain", penalty=2))

@@ -39,21 +39,22 @@ def test_landmarks_move_tissue_from_source_to_target():
 
 
 @pytest.mark.parametrize(
-    ("source", "target", "said"),
+    ("source", "target"),
     [
-        ([[1, 2], [3, 4]], [[1, 2]], r"sources of shape \(2, 2\) and targets of shape \(1, 2\)"),
-        ([[1, 2]], [[1, 2, 3]], r"sources of shape \(1, 2\) and targets of shape \(1, 3\)"),
-        ([1, 2], [3, 4], r"a source of shape \(2,\)"),
-        (np.zeros((0, 2)), np.zeros((0, 2)), r"a source of shape \(0, 2\)"),
-        ([[1, np.nan]], [[1, 2]], "a source that is NaN"),
-        ([[1, 2], [1.2, 2.3]], [[1, 2], [3, 4]], r"two sources in the pixel \(1, 2\)"),
-        ([[1, 2], [3, 24]], [[1, 2], [3, 4]], r"1 of 2 sources outside .* number 1 at \(3.0, 24"),
-        ([[1, 2, 3]], [[1, 2, 4]], "3 coordinates each, but the image has 2 axes"),
+        pytest.param([[1, 2], [3, 4]], [[1, 2]], id="another number of targets"),
+        pytest.param([[1, 2]], [[1, 2, 3]], id="targets with another number of axes"),
+        pytest.param([1, 2], [3, 4], id="numbers"),
+        pytest.param(np.zeros((0, 2)), np.zeros((0, 2)), id="none"),
+        pytest.param([[1, np.nan]], [[1, 2]], id="NaN"),
+        pytest.param([[1, 2], [1.2, 2.3]], [[1, 2], [3, 4]], id="two in one pixel"),
+        pytest.param([[1, 2], [3, 24]], [[1, 2], [3, 4]], id="outside the image"),
+        pytest.param([[1, 2, 3]], [[1, 2, 4]], id="another number of axes than the image"),
     ],
 )
-def test_invalid_landmarks_are_refused(source, target, said):
-    with pytest.raises(ProblemError, match=said):
+def test_invalid_landmarks_are_refused(source, target):
+    with pytest.raises(ProblemError) as refused:
         Drawing.from_landmarks(source, target, radius=1, shape=SHAPE)
+    assert refused.value.field == "landmarks"
 
 
 def test_a_grid_converts_points_in_physical_space_to_pixels():
@@ -67,12 +68,10 @@ def test_a_grid_converts_points_in_physical_space_to_pixels():
     np.testing.assert_allclose(grid.to_pixels(points), pixels, atol=1e-12)
     plane = Grid((6, 8), (2.0, 0.5), "millimeter", frame.plane_at(1, 2))
     np.testing.assert_allclose(plane.to_pixels(points[:1]), [[1.0, 3.0]], atol=1e-12)
-    with pytest.raises(ProblemError, match="up to 4 slices away from the slice"):
-        plane.to_pixels(points)
-    with pytest.raises(ProblemError, match=r"Pass \(N, 3\) numbers"):
-        grid.to_pixels([[1, 2]])
-    with pytest.raises(ProblemError, match=r"has no position in the world. Use Grid\.from_image"):
-        Grid(SHAPE, (1.0, 1.0)).to_pixels([[1, 2]])
+    unplaced = Grid(SHAPE, (1.0, 1.0))
+    for of, beside in ((plane, points), (grid, [[1, 2]]), (unplaced, [[1, 2]])):
+        with pytest.raises(ProblemError):
+            of.to_pixels(beside)
 
 
 def maps(high=1.0):
@@ -123,35 +122,33 @@ def test_published_stiffness_is_found_by_name_and_unknown_names_are_refused():
     motion = Motion(hold_edge=True, labels=pull, rules=(BoundaryRule(1, "move", vector=(0, 1)),))
     solved = solve_study(Study(Grid(SHAPE, (1.0, 1.0)), tissue, motion), backend="cpu")
     assert solved.displacement[10, 11, 1] == pytest.approx(1)
-    with pytest.raises(ProblemError, match=r"no published stiffness for 'xyz'\. Pass"):
+    with pytest.raises(ProblemError) as refused:
         Tissue.from_maps({"xyz": np.ones(SHAPE)})
+    assert refused.value.field == "tissue"
 
 
 @pytest.mark.parametrize(
-    ("given", "materials", "said"),
+    ("given", "materials"),
     [
-        ({}, None, "has no maps"),
-        ({"a": np.ones((2, 3)), "b": np.ones((3, 2))}, {"a": 1, "b": 1}, r"map 2 has shape \(3, 2"),
-        ({"a": -np.ones((2, 3))}, {"a": 1}, r"negative values, down to -1 in map 1 \(a\)"),
-        (
-            {"a": np.ones((2, 3))},
-            {"b": 1},
-            "no material for 'a' and has no map for the material 'b'",
+        pytest.param({}, None, id="no maps"),
+        pytest.param(
+            {"a": np.ones((2, 3)), "b": np.ones((3, 2))}, {"a": 1, "b": 1}, id="of two shapes"
         ),
-        ({"a": np.ones((2, 3))}, {"a": "soft"}, "Pass a Material or a stiffness"),
-        (
-            {"a": np.ones((2, 3)), "wm": np.full((2, 3), 60.0)},
-            {"a": 1, "wm": 1},
-            r"up to 1 in map 1 \(a\), but up to 60 in the map wm. Use probabilities .*scale=",
+        pytest.param({"a": -np.ones((2, 3))}, {"a": 1}, id="negative"),
+        pytest.param({"a": np.ones((2, 3))}, {"b": 1}, id="of another tissue"),
+        pytest.param({"a": np.ones((2, 3))}, {"a": "soft"}, id="without a stiffness"),
+        pytest.param(
+            {"a": np.ones((2, 3)), "wm": np.full((2, 3), 60.0)}, {"a": 1, "wm": 1}, id="two scales"
         ),
-        ({"a": np.full((2, 3), 300.0)}, {"a": 1}, r"up to 300 in map 1 \(a\)"),
-        ({"a": np.full((2, 3), np.nan)}, {"a": 1}, r"NaN or infinite values in map 1 \(a\)"),
-        ({"a": np.full((2, 3), 60, np.uint8)}, {"a": 1}, "scale may be 100 or 255"),
+        pytest.param({"a": np.full((2, 3), 300.0)}, {"a": 1}, id="above 255"),
+        pytest.param({"a": np.full((2, 3), np.nan)}, {"a": 1}, id="NaN"),
+        pytest.param({"a": np.full((2, 3), 60, np.uint8)}, {"a": 1}, id="100 or 255"),
     ],
 )
-def test_maps_that_do_not_match_their_materials_are_refused(given, materials, said):
-    with pytest.raises(ProblemError, match=said):
+def test_maps_that_do_not_match_their_materials_are_refused(given, materials):
+    with pytest.raises(ProblemError) as refused:
         Tissue.from_maps(given, materials)
+    assert refused.value.field == "tissue"
 
 
 def test_the_scale_of_maps_is_common_to_all_maps_or_given():
@@ -161,10 +158,9 @@ def test_the_scale_of_maps_is_common_to_all_maps_or_given():
     assert Tissue.from_maps(shares, materials, scale=255).labels.tolist() == [[0, 0, 0]]
     floats = {name: values / 100 for name, values in shares.items()}
     assert Tissue.from_maps(floats, materials).labels.tolist() == [[0, 2, 1]]
-    with pytest.raises(ProblemError, match=r"above the scale of 1 in map 1 \(a\)"):
-        Tissue.from_maps(shares, materials, scale=1)
-    with pytest.raises(ProblemError, match=r"a scale of 2\. Use 1, 100 or 255"):
-        Tissue.from_maps(shares, materials, scale=2)
+    for scale in (1, 2):
+        with pytest.raises(ProblemError):
+            Tissue.from_maps(shares, materials, scale=scale)
 
 
 def test_a_slice_of_maps_has_the_scale_of_the_whole_files(tmp_path):

@@ -43,80 +43,77 @@ def solution():
 
 
 @pytest.mark.parametrize(
-    ("call", "said"),
+    ("name", "call"),
     [
-        (
-            lambda: Tissue(stiffness=ONES.tolist()),
-            r"stiffness must be an array, such as np.array\(",
-        ),
-        (lambda: Tissue(labels=[[1, 1]]), "labels must be an array"),
-        (lambda: Tissue(materials=Material(1, "a", 2)), "materials must be a tuple of Material"),
-        (lambda: Tissue(curve=abs), "curve must be a StiffnessCurve"),
-        (lambda: Tissue.from_maps([ONES]), "maps must be a mapping of names to maps"),
-        (lambda: Motion(drawing=[PULL]), r"drawing must be a Drawing, such as Drawing\(\(Arrow"),
-        (lambda: Motion(Drawing()), "hold_edge must be True or False, not Drawing"),
-        (lambda: Motion(rules=BoundaryRule(1, "fixed")), "rules must be a tuple of BoundaryRule"),
-        (lambda: Motion(observed=[[0]], confidence=[[0]]), "observed must be an array"),
-        (lambda: Motion(weight=3), "weight must be a finite number along each axis"),
-        (lambda: Pictures(image=[[1, 2]]), "image must be an array"),
-        (lambda: Study(SHAPE), r"grid must be a Grid, such as Grid\(image.shape"),
-        (lambda: Study(GRID, ONES), r"tissue must be a Tissue, such as Tissue\(stiffness="),
-        (lambda: Study(GRID, motion=Drawing()), r"motion must be a Motion, .*, not Drawing\(empty"),
-        (lambda: Study(GRID, pictures=ONES), r"pictures must be a Pictures, such as Pictures\(im"),
-        (lambda: Study(GRID, prior="elastic"), "prior must be a SeilerPrior, ElasticPrior or Neo"),
-        (lambda: Study(GRID, optimizer="icm"), "optimizer must be an ICM or Multigrid"),
-        (lambda: Grid(SHAPE, (1, 1), None), 'unit must be a str, such as "mm", not None'),
-        (lambda: materials_by_name(["bone"]), "names must be a mapping of labels to names"),
-        (lambda: materials_by_name({"bone": 1}), "names must be a mapping of labels to names"),
-        (lambda: lookup_tissue(3), 'name must be a str, such as "liver", not 3'),
-        (lambda: write_study("a.study", ONES), "study must be a Study"),
-        (lambda: write_study("a.study", Study(GRID), ONES), "solution must be a Solution"),
-        (lambda: export_field("a.mha", ONES), r"solution is an array\. .* write_field\(path"),
-        (lambda: export_field("a.mha", Study(GRID)), "solution must be a Solution"),
-        (lambda: write_movie("a.gif", ONES, ONES), "solution must be a Solution"),
-        (lambda: reactions(Study(GRID), ONES), "problem must be a Problem, such as Problem"),
-        (lambda: solve_cases("cases.csv", "out"), r"cases must be a tuple of NamedCase, .*read_c"),
-        (lambda: solve_study(Study(GRID), stated=3), "stated must be a Statement, such as build_p"),
+        ("stiffness", lambda: Tissue(stiffness=ONES.tolist())),
+        ("labels", lambda: Tissue(labels=[[1, 1]])),
+        ("materials", lambda: Tissue(materials=Material(1, "a", 2))),
+        ("curve", lambda: Tissue(curve=abs)),
+        ("maps", lambda: Tissue.from_maps([ONES])),
+        ("drawing", lambda: Motion(drawing=[PULL])),
+        ("hold_edge", lambda: Motion(Drawing())),
+        ("rules", lambda: Motion(rules=BoundaryRule(1, "fixed"))),
+        ("observed", lambda: Motion(observed=[[0]], confidence=[[0]])),
+        ("weight", lambda: Motion(weight=3)),
+        ("image", lambda: Pictures(image=[[1, 2]])),
+        ("grid", lambda: Study(SHAPE)),
+        ("tissue", lambda: Study(GRID, ONES)),
+        ("motion", lambda: Study(GRID, motion=Drawing())),
+        ("pictures", lambda: Study(GRID, pictures=ONES)),
+        ("prior", lambda: Study(GRID, prior="elastic")),
+        ("optimizer", lambda: Study(GRID, optimizer="icm")),
+        ("unit", lambda: Grid(SHAPE, (1, 1), None)),
+        ("names", lambda: materials_by_name(["bone"])),
+        ("names", lambda: materials_by_name({"bone": 1})),
+        ("name", lambda: lookup_tissue(3)),
+        ("study", lambda: write_study("a.study", ONES)),
+        ("solution", lambda: write_study("a.study", Study(GRID), ONES)),
+        ("solution", lambda: export_field("a.mha", ONES)),
+        ("solution", lambda: write_movie("a.gif", ONES, ONES)),
+        ("problem", lambda: reactions(Study(GRID), ONES)),
+        ("cases", lambda: solve_cases("cases.csv", "out")),
+        ("stated", lambda: solve_study(Study(GRID), stated=3)),
     ],
 )
-def test_an_argument_of_a_wrong_type_is_refused_by_name(call, said):
-    with pytest.raises(ArgumentError, match=said):
+def test_an_argument_of_a_wrong_type_is_refused_by_name(name, call):
+    with pytest.raises(ArgumentError, match=rf"^{name}\b"):
         call()
 
 
 def test_a_wrong_argument_besides_a_solution_is_refused_by_name(solution):
-    with pytest.raises(ArgumentError, match="names must be a mapping of labels to names, such as"):
+    with pytest.raises(ArgumentError, match=r"^names"):
         measure(solution, np.ones((16, 16), int), names=["bone"])
-    with pytest.raises(ArgumentError, match="solution must be a Solution"):
+    with pytest.raises(ArgumentError, match=r"^solution"):
         reactions(phantom("expansion", size=16).problem, ONES)
-    with pytest.raises(ArgumentError, match=r"grid must be a Grid, .*, not \(16, 16\)"):
+    with pytest.raises(ArgumentError, match=r"^grid"):
         export_field("a.mha", solution, grid=(16, 16))
 
 
 @pytest.mark.parametrize("call", [solve_study, build_problem])
 def test_a_problem_in_place_of_a_study_is_refused_with_a_hint_to_solve(call):
     problem = Problem(np.zeros((*SHAPE, 2)), np.ones((*SHAPE, 2)), ONES)
-    with pytest.raises(ArgumentError, match=r"study is a Problem\. Call solve\(problem\)"):
+    with pytest.raises(ArgumentError, match=r"^study .* solve\(problem\)"):
         call(problem)
-    with pytest.raises(ArgumentError, match="study must be a Study"):
+    with pytest.raises(ArgumentError, match=r"^study"):
         call(ONES)
 
 
 @pytest.mark.parametrize(
-    ("shape", "spacing", "said"),
+    ("shape", "spacing", "field"),
     [
-        (64, (1, 1), r"grid: has shape 64\. Pass the number of pixels along each axis"),
-        (ONES, (1, 1), "grid: has shape array"),
-        ((6, 7, 8, 9), (1, 1), "grid: has shape"),
-        ((6, 0), (1, 1), r"grid: has shape \(6, 0\)"),
-        (SHAPE, "mm", r"spacing: is 'mm'\. \w+ 2 positive, finite pixel sizes"),
-        (SHAPE, (1, 1, 1), "spacing: is"),
-        (SHAPE, (1, -1), "spacing: is"),
+        (64, (1, 1), "grid"),
+        (ONES, (1, 1), "grid"),
+        ((6, 7, 8, 9), (1, 1), "grid"),
+        ((6, 0), (1, 1), "grid"),
+        (SHAPE, "mm", "spacing"),
+        (SHAPE, (1, 1, 1), "spacing"),
+        (SHAPE, (1, -1), "spacing"),
     ],
 )
-def test_a_grid_with_an_invalid_shape_or_spacing_is_refused(shape, spacing, said):
-    with pytest.raises(ProblemError, match=said):
+def test_a_grid_with_an_invalid_shape_or_spacing_is_refused(shape, spacing, field):
+    with pytest.raises(ProblemError) as refused:
         Grid(shape, spacing)
+    assert refused.value.field == field
 
 
 def test_a_grid_accepts_any_sequence_as_shape_and_one_number_as_spacing():
@@ -126,18 +123,19 @@ def test_a_grid_accepts_any_sequence_as_shape_and_one_number_as_spacing():
 
 
 @pytest.mark.parametrize(
-    ("shape", "mark", "said"),
+    ("shape", "mark"),
     [
-        (SHAPE, Arrow((1, 3, 3), (0, 0, 1), 1), r"the Arrow at \(1.0, 3.0, 3.0\), with 3 axes"),
-        ((5, *SHAPE), PULL, r"with 2 axes, but the grid has 3\. .* as \(plane, row, col\)"),
-        (SHAPE, Landmark((1, 3, 3), (1, 3, 4), 1), r"the Landmark .* as \(row, col\)"),
-        (SHAPE, Stroke("pin", (((1, 3, 3),),), 1), "the Stroke at"),
+        (SHAPE, Arrow((1, 3, 3), (0, 0, 1), 1)),
+        ((5, *SHAPE), PULL),
+        (SHAPE, Landmark((1, 3, 3), (1, 3, 4), 1)),
+        (SHAPE, Stroke("pin", (((1, 3, 3),),), 1)),
     ],
 )
-def test_a_mark_with_another_number_of_axes_than_the_grid_is_refused(shape, mark, said):
+def test_a_mark_with_another_number_of_axes_than_the_grid_is_refused(shape, mark):
     grid = Grid(shape, (1.0,) * len(shape))
-    with pytest.raises(ProblemError, match=f"drawing: has .*{said}"):
+    with pytest.raises(ProblemError) as refused:
         solve_study(Study(grid, motion=Motion(drawing=Drawing((mark,)))))
+    assert refused.value.field == "drawing"
 
 
 def test_lists_of_rows_are_converted_to_tuples():

@@ -51,9 +51,6 @@ StrainKind = Literal["elastic", "in-plane", "total"]
 #: values, (N,).
 StrainValue = Callable[[Float64Array, npt.ArrayLike], npt.NDArray[np.floating]]
 
-#: Names of the models with elastic strain.
-_BY_MODEL = ("ElasticPrior", "NeoHookeanPrior")
-
 
 def strain_kind(solution: Solution) -> StrainKind:
     """Return the kind of strain that `measure` and the colour overlays use for a solution."""
@@ -70,11 +67,6 @@ def strain_note(solution: Solution) -> str:
     total += ", within the image" if solution.tissue.ndim == 2 else ""
     prior = solution.provenance.parameters.get("prior")
     name = prior.get("name") if isinstance(prior, dict) else None
-    if name in _BY_MODEL:
-        return (
-            f"this result was saved by an earlier version, without its growth and Poisson's "
-            f"ratios: {total}, growth included; solve it again for elastic strain"
-        )
     if name == "SeilerPrior":
         return f"the paper's model has no Poisson's ratio and no third direction: {total}"
     return f"no model of the tissue is known: {total}"

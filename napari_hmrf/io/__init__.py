@@ -13,7 +13,7 @@ The processing of a case, from its input files to its results, has five steps:
    ``study/``. For a table of cases (`case_tables`), `batch` starts several processes, and
    `case_records` makes it possible to resume a batch.
 4. *Write.* `study_file` writes the study and its solution, so that the field can be reproduced.
-   `fields` writes the displacement field for other tools, with a `seal` that reveals damage.
+   `fields` writes the displacement field for other tools.
    Existing files are overwritten only on request (`overwriting`), and only by complete files.
 5. *Use.* `apply` deforms images, labels and landmarks with a field. `results` measures tissues.
    `figures` and `moving_pictures` draw results.

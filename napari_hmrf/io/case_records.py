@@ -10,9 +10,7 @@ from typing import Literal
 
 import pydantic
 
-from napari_hmrf.errors import HmrfError
 from napari_hmrf.io.case_tables import NamedCase
-from napari_hmrf.io.study_file import read_study
 
 #: Name of the file in a case's folder that stores the table row, digests and outcome of the case.
 RECORD = "case.json"
@@ -73,8 +71,8 @@ class CaseRecord(pydantic.BaseModel):
 
     cells: dict[str, str]
     outcome: CaseOutcome
-    inputs: dict[str, str] = {}
-    outputs: dict[str, str] = {}
+    inputs: dict[str, str]
+    outputs: dict[str, str]
 
 
 def record_in(folder: Path) -> CaseRecord | None:
@@ -100,7 +98,7 @@ def finished_cases(
             continue
         if record.cells != dict(case.cells):
             changed_rows.append(case.name)
-        elif record.inputs and record.inputs != fingerprints(case, digests):
+        elif record.inputs != fingerprints(case, digests):
             changed_files.append(case.name)
         elif not _is_intact(folder / case.name, record):
             damaged.append(case.name)
@@ -128,14 +126,7 @@ def output_digests(folder: Path) -> dict[str, str]:
 
 def _is_intact(folder: Path, record: CaseRecord) -> bool:
     """Return whether the result in a folder is unchanged."""
-    if record.outputs:
-        return all(_digest(folder / name) == digest for name, digest in record.outputs.items())
-    try:  # records of earlier versions do not contain digests
-        for path in folder.glob("*.study"):
-            read_study(path)
-    except (HmrfError, OSError):
-        return False
-    return True
+    return all(_digest(folder / name) == digest for name, digest in record.outputs.items())
 
 
 def leftovers(cases: Sequence[NamedCase], folder: Path) -> list[str]:

@@ -264,7 +264,7 @@ def _write_vectors(
         turn,
         {} if suffix == _NO_METADATA else metadata,
     )
-    content = encode(target, image, suffix, transform=suffix == _NO_METADATA, sealed=True)
+    content = encode(target, image, suffix, transform=suffix == _NO_METADATA)
     write_whole(target, content)
 
 

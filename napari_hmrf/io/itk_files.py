@@ -20,11 +20,8 @@ from napari_hmrf.atomic_write import raise_for_space, temporary_beside
 from napari_hmrf.errors import CANNOT_SAVE, HmrfError
 from napari_hmrf.io.decoder_process import Decoded, Undecodable, decoder, missing_simpleitk
 from napari_hmrf.io.nifti import is_cut_short, place_in_nifti
-from napari_hmrf.io.seal import BrokenSeal, check_seal, seal
 from napari_hmrf.regular_file import refuse_irregular
 
-#: Suffix of written transforms.
-_TRANSFORM = ".h5"
 #: Suffixes of transforms in text files.
 _TEXTS = (".tfm", ".txt")
 _NIFTI = (".nii", ".nii.gz")
@@ -88,8 +85,7 @@ def read_itk_image(source: Path) -> ItkImage:
         If the file cannot be opened.
     """
     _check_openable(source)
-    if not _is_sealed(source) and source.name.lower().endswith(_NIFTI) and is_cut_short(source):
-        raise Unreadable(_CUT_SHORT)
+    _check_length(source)
     return _image(_decode(source, "pixels"))
 
 
@@ -116,17 +112,14 @@ def read_itk_vectors(source: Path) -> ItkImage:
     Raises
     ------
     Unreadable
-        As for `read_itk_image`; or if the file has a seal that does not match its content.
+        As for `read_itk_image`; or if the numbers of a text file do not match its header.
     HmrfError, OSError
         As for `read_itk_image`.
     """
     _check_openable(source)
-    is_sealed = _is_sealed(source)
-    name = source.name.lower()
-    if name.endswith(_TEXTS):
+    if source.name.lower().endswith(_TEXTS):
         _check_text(source)
-    if name.endswith(_NIFTI) and not is_sealed and is_cut_short(source):
-        raise Unreadable(_CUT_SHORT)
+    _check_length(source)
     image = _image(_decode(source, "pixels", vectors=True))
     if image.ndim == 2 and image.components == 3:
         image = _in_volume(image, source)
@@ -145,8 +138,6 @@ def holds_vectors(source: Path) -> bool:
         If the file cannot be opened.
     """
     try:
-        if source.suffix.lower() == _TRANSFORM:
-            _is_sealed(source)
         header = _decode(source, "head", vectors=True).header
     except Damaged:
         return True
@@ -155,9 +146,7 @@ def holds_vectors(source: Path) -> bool:
     return len(header["spacing"]) == header["components"] and "float" in header["pixel"]
 
 
-def encode(
-    target: Path, image: ItkImage, suffix: str, *, transform: bool = False, sealed: bool = False
-) -> bytes:
+def encode(target: Path, image: ItkImage, suffix: str, *, transform: bool = False) -> bytes:
     """Return the bytes of an image file.
 
     SimpleITK writes the image to a temporary file, which is read back for comparison.
@@ -172,8 +161,6 @@ def encode(
         Suffix that selects the format.
     transform : bool
         True to write a displacement field as a transform.
-    sealed : bool
-        True to add a seal, which reveals damage.
 
     Returns
     -------
@@ -188,8 +175,7 @@ def encode(
     ValueError
         If SimpleITK does not support such pixels in this format.
     """
-    plain = ".nii" if sealed and suffix == ".nii.gz" else suffix  # `seal` compresses the file
-    with temporary_beside(target, plain) as file:
+    with temporary_beside(target, suffix) as file:
         try:
             decoder.write(file, _header(image), image.pixels, vectors=transform)
             is_written = True
@@ -201,8 +187,7 @@ def encode(
             if not is_written:
                 raise ValueError(f"such pixels cannot be written as {suffix}")
             raise OSError(errno.EIO, f"{CANNOT_SAVE}{os.strerror(errno.EIO)}", str(target))
-        content = file.read_bytes()
-    return seal(content, suffix) if sealed else content
+        return file.read_bytes()
 
 
 def require_simpleitk() -> None:
@@ -232,20 +217,17 @@ def _decode(source: Path, kind: str, *, vectors: bool = False) -> Decoded:
         raise (Damaged if error.fatal else Unreadable)(str(error)) from None
 
 
-def _is_sealed(source: Path) -> bool:
-    try:
-        return check_seal(source)
-    except BrokenSeal:
-        raise Damaged(
-            "it is damaged, or was edited after the export. Use another copy, or export it again"
-        ) from None
-
-
 def _check_openable(source: Path) -> None:
     """Raise the operating system's error if a file cannot be opened."""
     refuse_irregular(source)
     with open(source, "rb"):
         pass
+
+
+def _check_length(source: Path) -> None:
+    """Raise an error if a NIfTI file is truncated, because ITK would read arbitrary values."""
+    if source.name.lower().endswith(_NIFTI) and is_cut_short(source):
+        raise Unreadable(_CUT_SHORT)
 
 
 def _image(decoded: Decoded) -> ItkImage:

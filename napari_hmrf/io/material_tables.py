@@ -4,7 +4,7 @@ Example of a file::
 
     {
       "format": "napari-hmrf materials",
-      "version": 1,
+      "version": 4,
       "name": "Liver",
       "unit": "kPa",
       "source": "origin of the values",
@@ -17,10 +17,6 @@ The stiffness of rigid tissue, such as bone or an implant, is the word ``"rigid"
 value ``"growth"`` is a strain: 0.1 increases lengths by a tenth. It can be a list with one value
 for each axis of the image. The optional value ``"slides"`` is true for tissue that slides along all
 other tissue.
-
-A file with tissue that slides has format version 4, a file with growth version 3, a file with rigid
-tissue version 2, and any other file version 1. Earlier versions of this package can read files with
-earlier format versions.
 """
 
 from __future__ import annotations
@@ -43,11 +39,8 @@ from napari_hmrf.tissue.material_presets import Preset
 _Format = Literal["napari-hmrf materials"]
 #: Identifier of the format, stored in each file.
 FORMAT: _Format = "napari-hmrf materials"
-#: Latest version of the format.
+#: Version of the format.
 VERSION = 4
-#: Format versions of files without rigid tissue, growth or sliding tissue; of files with rigid
-#: tissue; and of files with growth.
-_FIRST, _RIGID, _GROWTH = 1, 2, 3
 #: Suffix of the files.
 ENDING = ".json"
 #: Largest size of a file, in bytes; a larger file is not read.
@@ -80,7 +73,7 @@ def write_preset(path: str | Path, preset: Preset) -> Path:
     target = target if target.suffix else target.with_suffix(ENDING)
     values = {
         "format": FORMAT,
-        "version": _version(preset),
+        "version": VERSION,
         **asdict(preset),
         "materials": [material.as_row() for material in preset.materials],
     }
@@ -121,15 +114,6 @@ def read_preset(path: str | Path) -> Preset:
         raise _format_error(source, error) from error
     materials = tuple(Material.of_row(**row.model_dump()) for row in file.materials)
     return Preset(file.name or source.stem, file.unit, file.source, materials)
-
-
-def _version(preset: Preset) -> int:
-    """Return the earliest version of the format that supports these materials."""
-    if any(row.slides for row in preset.materials):
-        return VERSION
-    if any(row.grows for row in preset.materials):
-        return _GROWTH
-    return _RIGID if any(row.is_rigid for row in preset.materials) else _FIRST
 
 
 _Strain = Annotated[float, pydantic.Field(gt=-1, le=10, allow_inf_nan=False)]

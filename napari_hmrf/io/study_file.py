@@ -1,9 +1,8 @@
 """Study files: a study and, optionally, its displacement field, which can be reproduced.
 
 A study file is an archive of plain arrays and a text header (`napari_hmrf.array_file`). Reading a
-study file never executes code from the file, and study files are written atomically.
-The attribute `Motion.confidence` is stored in the array "counts", for compatibility with earlier
-versions. The page `docs/reference/files.md` lists all arrays.
+study file never executes code from the file, and study files are written atomically. The page
+`docs/reference/files.md` lists all arrays.
 """
 
 from __future__ import annotations
@@ -31,7 +30,6 @@ from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import SOLUTION_FORMAT, Solution
 from napari_hmrf.solver.solve import Progress
-from napari_hmrf.solver.uncertain_landmarks import StrainScale
 from napari_hmrf.study.ground import build_problem, solve_study
 from napari_hmrf.study.measured_motion import MeasuredMotion
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
@@ -51,8 +49,7 @@ _NUMBERS = ("|b1", *LABEL_TYPES, "<f2", "<f4", "<f8")
 _DRAWING = "drawing"
 #: Prefix of the names of the solution's arrays.
 _OF_SOLUTION = "solution_"
-#: Penalties of an elastic prior that are stored as words. For compatibility with the first version
-#: of the format, "inf" denotes penalties derived from the confidence.
+#: Penalties of an elastic prior that are stored as words: derived from the confidence, and exact.
 _PENALTIES = {None: "inf", math.inf: "exact"}
 #: Validators of values in the header.
 _MATERIALS = TypeAdapter(tuple[Material, ...])
@@ -129,7 +126,7 @@ def write_study(
 
 
 def read_study(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None = None) -> StudyFile:
-    """Read a study file in the current version of the format or an earlier version.
+    """Read a study file.
 
     Parameters
     ----------
@@ -353,9 +350,9 @@ def _describe(content: _Content) -> tuple[array_file.Header, array_file.Arrays]:
         "notes": list(study.notes),
         "solution": None,
     }
-    if motion.cavity != Cavity():  # earlier versions read studies without a load on cavities
+    if motion.cavity != Cavity():
         header["motion"]["cavity"] = asdict(motion.cavity)
-    if content.overlay:  # earlier versions, and Python by default, write no view
+    if content.overlay:
         header["view"] = {"overlay": content.overlay}
     poisson = study.prior.poisson if isinstance(study.prior, Elastic) else 0.0
     arrays: dict[str, Any] = {
@@ -420,11 +417,11 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> _Content:
                 observed=arrays.get("observed"),
                 confidence=arrays.get("counts"),
                 drawing=drawing_of(motion["drawing"], arrays.get("patch_motion")),
-                weight=_LENGTHS.validate_python(motion.get("weight", ())),
-                typical_strain=float(motion.get("typical_strain", StrainScale.strain)),
-                drift=bool(motion.get("drift", False)),
+                weight=_LENGTHS.validate_python(motion["weight"]),
+                typical_strain=float(motion["typical_strain"]),
+                drift=bool(motion["drift"]),
                 cavity=Cavity(**motion.get("cavity", {})),
-                measured=_measured_in(motion.get("measured"), arrays),
+                measured=_measured_in(motion["measured"], arrays),
             ),
             prior=_prior_from_dict(header["prior"], arrays.get("poisson")),
             optimizer=optimizer_from_dict(header["optimizer"]),
@@ -434,7 +431,7 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> _Content:
                 name=str(pictures["name"]),
                 labels_name=str(pictures["labels_name"]),
             ),
-            names={part: _name_in(kept) for part, kept in header["names"].items()},
+            names={part: str(name) for part, name in header["names"].items()},
             notes=tuple(str(note) for note in header["notes"]),
         )
     except HmrfError as error:
@@ -473,11 +470,6 @@ def _measured_in(record: Any, arrays: array_file.Arrays) -> MeasuredMotion | Non
     if record is None:
         return None
     return MeasuredMotion.from_packed(arrays["measured"], arrays["precision"], dict(record))
-
-
-def _name_in(kept: Any) -> str:
-    """Return the name of a part of a study, which earlier versions stored in a mapping."""
-    return str(kept["name"] if isinstance(kept, Mapping) else kept)
 
 
 def _preset_as_dict(preset: Preset) -> dict[str, Any]:

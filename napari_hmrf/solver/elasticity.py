@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, get_args
 
@@ -68,7 +68,7 @@ class Elasticity:
 
 
 def read_elasticity(header: array_file.Header, arrays: array_file.Arrays) -> Elasticity | None:
-    """Read elastic properties from a file; in older files, they are part of the parameters.
+    """Read elastic properties from a file; None if the model is not elastic.
 
     Raises
     ------
@@ -80,9 +80,7 @@ def read_elasticity(header: array_file.Header, arrays: array_file.Arrays) -> Ela
     if given is None:
         if any(each is not None for each in (poisson, growth, rigid)):
             raise array_file.Invalid("it has arrays for elastic tissue, but no elastic model")
-        given = _elasticity_in_parameters(header["provenance"])
-        if given is None:
-            return None
+        return None
     nu, plane, finite = given["poisson"], given["plane"], given["finite"]
     if poisson is None:
         if not (isinstance(nu, float | int) and POISSON_RANGE[0] <= nu <= POISSON_RANGE[1]):
@@ -102,16 +100,3 @@ def read_elasticity(header: array_file.Header, arrays: array_file.Arrays) -> Ela
     if rigid is not None and rigid.shape != grid:
         raise array_file.Invalid(f"its rigid tissue {rigid.shape} does not match the tissue")
     return Elasticity(float(nu) if poisson is None else poisson, plane, finite, growth, rigid)
-
-
-def _elasticity_in_parameters(provenance: Mapping[str, Any]) -> Mapping[str, Any] | None:
-    """Return the properties recorded in the parameters, or None if these are not sufficient."""
-    # Parameters contain neither growth nor a map of Poisson's ratios.
-    prior = provenance.get("parameters", {}).get("prior")
-    finite = {"ElasticPrior": False, "NeoHookeanPrior": True}
-    if not isinstance(prior, dict) or prior.get("name") not in finite:
-        return None
-    if "growth" in provenance.get("inputs", {}) or not isinstance(prior.get("poisson"), float):
-        return None
-    name, plane = prior["name"], prior.get("plane", "stress")
-    return {"poisson": prior["poisson"], "plane": plane, "finite": finite[name]}

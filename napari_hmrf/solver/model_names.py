@@ -82,8 +82,7 @@ def is_multigrid(parameters: Mapping[str, Any]) -> bool:
 
 def converged(optimizer: Mapping[str, Any]) -> bool:
     """Return whether an optimizer with these parameters iterates until convergence."""
-    # In older files, the parameter is called "tolerance".
-    change = optimizer.get("energy_change", optimizer.get("tolerance"))
+    change = optimizer.get("energy_change")
     exact = isinstance(change, int | float) and change <= _CONVERGED_CHANGE
     return optimizer.get("name") == "Multigrid" or exact
 

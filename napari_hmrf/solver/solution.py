@@ -445,7 +445,7 @@ class Solution:
 
     @staticmethod
     def read(path: str | os.PathLike[str]) -> Solution:
-        """Read a file written by `write` in this or an earlier version of the package.
+        """Read a file written by `write`.
 
         Returns
         -------
@@ -534,7 +534,7 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> Solution:
     frame = header["frame"]
     if frame is not None and not isinstance(frame, dict):
         raise array_file.Invalid("its frame is not a table")
-    reached = header.get("convergence")
+    reached = header["convergence"]
     given, known = header["provenance"], {field.name for field in fields(Provenance)}
     return Solution(
         displacement=displacement.astype(displacement.dtype.newbyteorder("="), copy=False),
@@ -545,34 +545,31 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> Solution:
         provenance=Provenance(**{field: given[field] for field in known & given.keys()}),
         convergence=reached
         if reached is None
-        else Convergence(
-            float(reached["error"]), float(reached["residual"]), str(reached.get("way", "cycles"))
-        ),
+        else Convergence(float(reached["error"]), float(reached["residual"]), str(reached["way"])),
         frame=frame,
-        reach=_reach(header.get("reach")),
+        reach=_reach(header["reach"]),
         elasticity=read_elasticity(header, arrays),
-        unit=str(header.get("unit", "")),  # missing in older files
+        unit=str(header["unit"]),
         removed=removed,
         parts=parts,
     )
 
 
 def _reach(given: Mapping[str, Any] | None) -> Reach | None:
-    """Return the extent to which large motion was completed; None for older files."""
     if given is None:
         return None
-    where, furthest = given["where"], given.get("unbalanced_at")
+    where, furthest = given["where"], given["unbalanced_at"]
     return Reach(
         float(given["least_jacobian"]),
         float(given["part"]),
         float(given["missing"]),
         None if where is None else tuple(int(index) for index in where),
         int(given["sites"]),
-        float(given.get("grown", 1.0)),
-        float(given.get("unbalanced", 0.0)),
+        float(given["grown"]),
+        float(given["unbalanced"]),
         None if furthest is None else tuple(int(index) for index in furthest),
-        bool(given.get("stopped", False)),
-        tuple(tuple(int(index) for index in at) for at in given.get("regions", ())),
+        bool(given["stopped"]),
+        tuple(tuple(int(index) for index in at) for at in given["regions"]),
     )
 
 

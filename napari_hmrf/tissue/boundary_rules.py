@@ -121,10 +121,6 @@ class Material:
     def as_row(self) -> dict[str, Any]:
         """Convert the material to JSON types; an infinite stiffness becomes "rigid"."""
         row = asdict(self)
-        if not self.grows:  # earlier versions can then read the row
-            del row["growth"]
-        if not self.slides:
-            del row["slides"]
         return {**row, "stiffness": _RIGID} if self.is_rigid else row
 
     @classmethod

@@ -67,9 +67,8 @@ def deformation_3d():
     )
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_a_sample_matches_a_full_solve_of_its_boundary_values(seed):
-    sample = deformation_2d().sample(seed)
+def test_a_sample_matches_a_full_solve_of_its_boundary_values():
+    sample = deformation_2d().sample(0)
     solved = solve_study(sample.study, backend="cpu")
     far = np.abs(solved.displacement - sample.displacement) / SPACING
     assert far.max() < 0.01
@@ -86,7 +85,7 @@ def test_a_sample_of_a_volume_matches_a_full_solve():
 @pytest.mark.parametrize("deformation", [deformation_2d, deformation_3d])
 def test_no_field_folds_or_compresses_tissue_below_a_fifth_of_its_size(deformation):
     random, scales = deformation(), []
-    for seed in range(40):
+    for seed in range(12):
         sample = random.sample(seed)
         field, tissue = sample.displacement, sample.tissue
         assert not fold_mask(field, spacing=sample.spacing, tissue=tissue).any()
@@ -96,7 +95,7 @@ def test_no_field_folds_or_compresses_tissue_below_a_fifth_of_its_size(deformati
 
 
 def test_a_scaled_sample_has_the_least_allowed_jacobian():
-    for seed in range(20):
+    for seed in range(8):
         sample = deformation_2d().sample(seed)
         if sample.scale < 1:
             least = smallest_determinant(sample.displacement, SPACING, sample.tissue)

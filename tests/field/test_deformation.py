@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from napari_hmrf import ProblemError
 from napari_hmrf.data import phantom, reference_displacement
 from napari_hmrf.field.strain import fold_mask
 from napari_hmrf.fields import (
@@ -200,45 +199,6 @@ def test_thin_tissue_between_the_sampled_sites_gets_arrows():
     tissue[::10, ::10] = True
     tissue[:, 5] = False
     assert len(arrows(np.ones((100, 100, 2)), spacing=1, tissue=tissue, about=4)) >= 1
-
-
-@pytest.mark.parametrize(
-    ("call", "complaint"),
-    [
-        (lambda: jacobian_determinant(np.zeros((4, 4)), spacing=1), "displacement: has shape"),
-        (lambda: count_folds(np.zeros((4, 4, 2)), spacing=(1, -1)), "spacing"),
-        (
-            lambda: arrows(np.zeros((4, 4, 2)), spacing=1, tissue=np.ones((3, 4))),
-            "tissue: has shape",
-        ),
-        (lambda: arrows(np.zeros((4, 4, 2)), spacing=1, about=0), "about: is 0"),
-        (lambda: deformation_grid(np.zeros((4, 4, 2)), spacing=1, every=0), "every: is 0"),
-        (lambda: deformation_grid(np.zeros((4, 4, 2)), spacing=1, every=2.5), "every: is 2.5"),
-        (lambda: deformation_grid(np.zeros((4, 4, 2)), spacing=1, every=np.inf), "every: is inf"),
-        (
-            lambda: deformation_grid(np.zeros((4, 4, 2)), spacing=1, every="wide"),
-            "every: is 'wide'",
-        ),
-        (
-            lambda: deformation_grid(np.zeros((4, 4, 2)), spacing=1, pieces=0),
-            "pieces: is 0.*at least 1",
-        ),
-        (lambda: deformation_grid(np.zeros((4, 4, 2)), spacing=1, pieces=None), "pieces: is None"),
-        (lambda: arrows(np.zeros((4, 4, 2)), spacing=1, about="many"), "about: is 'many'"),
-        (lambda: magnitude(0), r"displacement: has shape \(\).*\(H, W, 2\)"),
-        (lambda: magnitude("far"), "displacement: is .far., of type str. Pass real numbers"),
-        (lambda: magnitude(np.zeros((4, 4, 2)) * 1j), "displacement: has values of type complex"),
-        (lambda: magnitude([[1, 2], [3]]), "displacement: is not an array of numbers"),
-        (lambda: count_folds([[1, 2], [3]], spacing=1), "displacement: is not an array of numbers"),
-        (
-            lambda: arrows(np.zeros((2, 2, 2)), spacing=1, tissue=[[1], [1, 0]]),
-            "tissue: is not an array",
-        ),
-    ],
-)
-def test_errors_name_the_invalid_argument(call, complaint):
-    with pytest.raises(ProblemError, match=complaint):
-        call()
 
 
 def test_a_grid_wider_than_the_image_has_one_line_along_each_axis():

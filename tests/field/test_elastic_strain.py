@@ -1,7 +1,5 @@
 """Elastic strain of each model, without growth and with the out-of-plane component."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -215,21 +213,6 @@ def test_rigid_tissue_has_no_strain(tmp_path):
     assert soft.mean_strain > 5
     again = Solution.read(solution.write(tmp_path / "bone"))
     assert again.measure(np.isinf(stiffness)) == (soft, bone)
-
-
-def test_a_file_of_an_earlier_version_reports_missing_elastic_strain(tmp_path):
-    grown = free_disc(ElasticPrior(NU))
-    old = replace(grown, elasticity=None)
-    again = Solution.read(old.write(tmp_path / "old"))
-    assert again.elasticity is None
-    assert "saved by an earlier version" in strain_note(again)
-    row = measured_row(again)
-    assert row.strain == "in-plane"
-    assert row.mean_strain > 5, "the strain should include growth, as the note states"
-    # Without growth and with a single Poisson's ratio the strain is known.
-    plain = bar(ElasticPrior(NU, plane="strain"))
-    read = Solution.read(replace(plain, elasticity=None).write(tmp_path / "plain"))
-    assert np.array_equal(read.strain(), plain.strain(), equal_nan=True)
 
 
 def test_colours_points_and_a_movie_show_the_same_strain():

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from napari_hmrf import ProblemError, warp
+from napari_hmrf import warp
 from napari_hmrf.field.interpolation import look_up
 from napari_hmrf.field.live_warp import Picture, Warper
 from napari_hmrf.field.triangle_raster import rasterise, rasterise_displaced
@@ -56,8 +56,13 @@ def image_of(kind, shape=SHAPE):
 KINDS = ["uint8", "colour", "float32", "gaps", "bool", "uint16", "float16", "float64", "int64"]
 
 
-@pytest.mark.parametrize("kind", [*KINDS, ">u2"])
-@pytest.mark.parametrize("order", [0, 1, 3])
+@pytest.mark.parametrize(
+    ("kind", "order"),
+    [
+        *((kind, 1) for kind in [*KINDS, ">u2"]),
+        *((kind, order) for kind in ("colour", "gaps", "int64") for order in (0, 3)),
+    ],
+)
 def test_the_live_warp_matches_warp_for_every_type_of_image(kind, order):
     image, d, tissue = image_of(kind), rough_field(1, 2.5), some_tissue(1)
     fill = 1
@@ -67,7 +72,7 @@ def test_the_live_warp_matches_warp_for_every_type_of_image(kind, order):
     np.testing.assert_array_equal(found, expected)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=20)
 @example(1528, 3.0, (1, 1), 1.0)
 @given(
     st.integers(0, 10_000),
@@ -91,7 +96,7 @@ def test_the_live_warp_matches_warp_for_random_motion_with_folds(
     assert np.abs(found[half].astype(int) - expected[half].astype(int)).max(initial=0) <= 1
 
 
-@pytest.mark.parametrize("bands", [1, 2, 3, 5, 37])
+@pytest.mark.parametrize("bands", [1, 2, 5, 37])
 def test_the_number_of_bands_does_not_change_the_result(bands):
     d, tissue = rough_field(5, 4.0), some_tissue(5)
     d[:, 36:42, 1] += 2 * (38.5 - np.arange(36, 42)) + 3  # turn a body over
@@ -184,53 +189,3 @@ def test_any_thread_can_warp_pictures():
     motion = np.full((6, 7, 8, 3), 0.5, np.float32)
     (plane,) = Warper(volume, spacing=(1, 1, 1)).slice(3, motion)
     np.testing.assert_allclose(plane, warp(volume, motion, spacing=1)[3], atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("make", "displacement", "tissue", "complaint"),
-    [
-        (lambda: Warper(np.zeros(5), spacing=(1, 1)), None, None, "image: has shape"),
-        (
-            lambda: Warper([Picture(np.zeros((5, 5)), order=7)], spacing=(1, 1)),
-            None,
-            None,
-            "order: is 7",
-        ),
-        (
-            lambda: Warper(
-                [Picture(np.zeros((5, 5), np.uint8), order=1, fill=300)], spacing=(1, 1)
-            ),
-            None,
-            None,
-            "fill",
-        ),
-        (
-            lambda: Warper([Picture(np.eye(5)), Picture(np.eye(6))], spacing=(1, 1)),
-            None,
-            None,
-            "image: has shape",
-        ),
-        (lambda: Warper(np.eye(5), spacing=(1, 0)), None, None, "spacing"),
-        (
-            lambda: Warper(np.eye(5), spacing=(1, 1)),
-            np.zeros((5, 6, 2)),
-            None,
-            "displacement: has shape",
-        ),
-        (
-            lambda: Warper(np.eye(5), spacing=(1, 1)),
-            np.zeros((5, 5, 2)),
-            np.ones(5),
-            "tissue: has shape",
-        ),
-        (
-            lambda: Warper(np.eye(5), spacing=(1, 1)),
-            np.full((5, 5, 2), np.nan),
-            None,
-            "displacement: is NaN",
-        ),
-    ],
-)
-def test_errors_name_the_invalid_argument(make, displacement, tissue, complaint):
-    with pytest.raises(ProblemError, match=complaint):
-        moved(make(), displacement, tissue)

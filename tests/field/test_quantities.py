@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from napari_hmrf import ProblemError
 from napari_hmrf.data import phantom
 from napari_hmrf.field.strain import (
     deformation_gradient,
@@ -138,25 +137,3 @@ def test_a_strain_of_one_millionth_is_resolved():
     assert_uniform(
         green_lagrange_strain(displacement, spacing=1), 1e-6 * np.eye(2), rtol=1e-4, atol=1e-11
     )
-
-
-@pytest.mark.parametrize(
-    ("call", "complaint"),
-    [
-        (lambda: small_strain(np.zeros((4, 4)), spacing=1), "displacement: has shape"),
-        (lambda: deformation_gradient(np.zeros((4, 4, 2)), spacing=(1, 0)), "spacing"),
-        (
-            lambda: fold_mask(np.zeros((4, 4, 2)), spacing=1, tissue=np.ones((3, 4))),
-            "tissue: has shape",
-        ),
-        (lambda: principal_strains(np.zeros((4, 3))), "strain: has shape"),
-        (lambda: principal_strains("none"), "strain: is 'none', of type str"),
-        (lambda: principal_strains(1j * np.eye(2)), "strain: has values of type complex128"),
-        (lambda: equivalent_strain(np.eye(2), "none"), "through: is 'none', of type str"),
-        (lambda: strain_through_slice(np.eye(2), 0.5), "poisson"),
-        (lambda: strain_through_slice(np.eye(2), 0.3j), "poisson: is 0.3j, of type complex"),
-    ],
-)
-def test_errors_name_the_invalid_argument(call, complaint):
-    with pytest.raises(ProblemError, match=complaint):
-        call()

@@ -26,8 +26,11 @@ def test_both_rasterisers_agree_on_resting_tissue(size):
     assert_same_maps(moved_sites(np.zeros((size, size + 1, 2))), np.ones((size, size + 1), bool))
 
 
-@pytest.mark.parametrize("far", [0.3, 2.0, 8.0], ids=["gently", "folded", "torn"])
-@pytest.mark.parametrize("holes", [0.0, 0.2, 0.7], ids=["whole", "with holes", "threads"])
+@pytest.mark.parametrize(
+    ("far", "holes"),
+    [(0.3, 0.2), (2.0, 0.0), (2.0, 0.7), (8.0, 0.2)],
+    ids=["gently", "folded", "folded threads", "torn"],
+)
 def test_both_rasterisers_agree_on_random_motion(far, holes):
     rng = np.random.default_rng(0)
     d = rng.normal(size=(23, 31, 2)) * far

@@ -89,8 +89,7 @@ def image_of(kind):
 KINDS = {"float32": 1, "int16": 1, "gaps": 1, "colours": 1, "labels": 0, "smooth": 3}
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize(("kind", "seed"), [(kind, k % 2) for k, kind in enumerate(KINDS)])
 def test_a_warped_slice_matches_the_slice_of_the_warped_volume(kind, seed):
     image, order = image_of(kind), KINDS[kind]
     d, tissue = rough_field(seed), some_tissue(seed)
@@ -144,25 +143,6 @@ def test_a_coarse_motion_is_interpolated_linearly(every):
     assert np.isclose(slice_, expected[7], atol=0.3).mean() > 0.8
 
 
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        ((20, hill()), "number: is 20. Pass the index of a slice"),
-        ((3, hill()[1:]), "displacement: has shape"),
-        ((3, hill(), np.ones(SHAPE[1:])), "tissue: has shape"),
-        ((3, np.full((*SHAPE, 3), np.nan)), "displacement: is NaN"),
-    ],
-)
-def test_errors_name_the_invalid_argument_of_a_slice(arguments, sentence):
-    with pytest.raises(ProblemError, match=sentence):
-        on_thread(Warper(np.zeros(SHAPE), spacing=SIZE).slice, *arguments)
-
-
-def test_a_slice_of_a_slice_is_rejected():
-    with pytest.raises(ProblemError, match="number: is 0"):
-        on_thread(Warper(np.zeros((5, 6)), spacing=(1, 1)).slice, 0, np.zeros((5, 6, 2)))
-
-
 def test_an_animation_moves_a_volume_by_part_of_its_motion():
     image, labels = image_of("float32"), image_of("labels")
     found = solution(hill(), some_tissue(0))
@@ -182,7 +162,7 @@ def test_vacated_voxels_get_the_darkest_value_of_a_grey_volume():
     assert emptiness(np.full((*SHAPE, 3), 5), 3) == 0
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, 1])
 def test_the_inverse_of_a_point_matches_the_inverse_map(seed):
     d, tissue = rough_field(seed), np.ones(SHAPE, bool)
     tissue[:5] = tissue[:, 8:, :4] = False

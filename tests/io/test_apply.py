@@ -29,8 +29,8 @@ sitk = pytest.importorskip("SimpleITK")
 SHAPE = (40, 48)
 
 
-@pytest.fixture
-def solved(tmp_path):
+@pytest.fixture(scope="module")
+def solved(tmp_path_factory):
     """Write a study of a pulled photograph with its solution; return its path and the solution."""
     pull = Drawing((Arrow(at=(20, 22), by=(3.0, 5.0), radius=5),))
     photo = np.random.default_rng(2).integers(1, 255, (*SHAPE, 3), dtype=np.uint8)
@@ -41,7 +41,7 @@ def solved(tmp_path):
         pictures=Pictures(photo, name="photo"),
     )
     solution = solve_study(study, backend="cpu")
-    return write_study(tmp_path / "case", study, solution), solution
+    return write_study(tmp_path_factory.mktemp("case") / "case", study, solution), solution
 
 
 def field_arguments(solution):

@@ -11,27 +11,25 @@ from napari_hmrf import FileFormatError, HmrfError, Problem, ProblemError, solve
 from napari_hmrf.cli import main
 from napari_hmrf.field.inverse_field import inverse_displacement
 from napari_hmrf.fields import count_folds, read_field, write_field
-from napari_hmrf.io.fields import FIELD_SUFFIXES, export_field
+from napari_hmrf.io.fields import export_field
 from napari_hmrf.layers.slice_view import View, frame_of
-from tests.support.exchanged_fields import PLACES, FieldCase, inside, transform_in
+from tests.support.exchanged_fields import FieldCase, inside, transform_in
 
 sitk = pytest.importorskip("SimpleITK")
 
-
-@pytest.fixture(params=PLACES)
-def case(request):
-    return FieldCase(request.param)
-
-
-def smooth(points):
-    """Return a smooth picture, sampled at any points."""
-    waves = (np.sin(0.21 * points[..., k] + k) for k in range(points.shape[-1]))
-    return 100 * sum(waves)
+#: Places and formats, each of them once; a slice in NIfTI is stored as three slices.
+FILES = [
+    ("slice", ".nii.gz"),
+    ("3-D", ".nii"),
+    ("2-D", ".mha"),
+    ("slice", ".nrrd"),
+    ("3-D", ".h5"),
+]
 
 
-@pytest.mark.parametrize("suffix", FIELD_SUFFIXES)
-def test_simpleitk_moves_an_image_like_the_tissue(case, suffix, tmp_path):
-    path = tmp_path / f"field{suffix}"
+@pytest.mark.parametrize(("name", "suffix"), FILES)
+def test_simpleitk_moves_an_image_like_the_tissue(name, suffix, tmp_path):
+    case, path = FieldCase(name), tmp_path / f"field{suffix}"
     assert case.write(path) < 0.02
     back = inverse_displacement(case.displacement, spacing=tuple(case.size)).displacement
     # An image of positions shows the origin of each resampled point.
@@ -43,83 +41,36 @@ def test_simpleitk_moves_an_image_like_the_tissue(case, suffix, tmp_path):
         np.testing.assert_allclose(seen[inside(case)], expected[inside(case)], atol=2e-3)
 
 
-def test_simpleitk_maps_each_point_to_the_origin_of_its_tissue(case, tmp_path):
-    path = tmp_path / "field.mha"
-    case.write(path)
-    transform, here = transform_in(path), case.image(np.zeros(case.shape))
-    for site in np.random.default_rng(1).integers(6, np.array(case.shape) - 6, (200, case.n)):
-        goes_to = site + case.displacement[tuple(site)] / case.size
-        index = [*goes_to[::-1], *[0.0] * (case.axes - case.n)]
-        seen = transform.TransformPoint(here.TransformContinuousIndexToPhysicalPoint(index))
-        came_from = here.TransformPhysicalPointToContinuousIndex(seen)[: case.n][::-1]
-        np.testing.assert_allclose(came_from, site, atol=0.02)
-
-
-@pytest.mark.parametrize("suffix", FIELD_SUFFIXES)
-@pytest.mark.parametrize("forward", [False, True])
+@pytest.mark.parametrize(("name", "suffix"), FILES)
 def test_a_forward_or_backward_field_is_read_in_the_direction_it_was_written(
-    case, suffix, forward, tmp_path
+    name, suffix, tmp_path
 ):
-    path = tmp_path / f"field{suffix}"
-    if forward and suffix == ".h5":
-        with pytest.raises(FileFormatError, match=r"field\.h5: this format does not store"):
-            case.write(path, forward=True)
-        assert not path.exists()
-        return
-    case.write(path, forward=forward)
-    for told in (
-        (False, True) if suffix != ".h5" else (False,)
-    ):  # The direction stored in the file takes precedence.
-        field = read_field(path, forward=told)
+    case, path = FieldCase(name), tmp_path / f"field{suffix}"
+    for forward in (True, False):
+        if forward and suffix == ".h5":
+            with pytest.raises(FileFormatError, match=r"field\.h5: this format does not store"):
+                case.write(path, forward=True)
+            assert not path.exists()
+            continue
+        case.write(path, forward=forward)
+        # The direction stored in the file takes precedence.
+        field = read_field(path, forward=not forward and suffix != ".h5")
         read = field.displacement
         if case.axes > case.n:  # A slice of a volume; three slices in NIfTI.
+            np.testing.assert_allclose(read[..., 0], 0, atol=1e-5)
             read = read[len(read) // 2, ..., 1:]
         away = np.abs(read - case.displacement) / case.size
         assert away[inside(case)].max() < (1e-4 if forward else 0.02)
-        assert (field.residual == 0) == forward
-
-
-@pytest.mark.parametrize("suffix", FIELD_SUFFIXES[:-1])
-def test_a_forward_field_is_read_back_unchanged(case, suffix, tmp_path):
-    path = tmp_path / f"field{suffix}"
-    case.write(path, forward=True)
-    field = read_field(path)
-    read, size = field.displacement, case.size
-    if case.axes > case.n:  # A slice of a volume; three slices in NIfTI.
-        np.testing.assert_allclose(read[..., 0], 0, atol=1e-6)
-        read = read[len(read) // 2, ..., 1:]
-    np.testing.assert_allclose(read / size, case.displacement / size, atol=1e-4)
-    np.testing.assert_allclose(field.spacing, case.spacing, rtol=1e-6)
-    np.testing.assert_allclose(field.direction, case.direction, atol=1e-6)
-    assert field.residual == 0
-
-
-def test_a_backward_field_is_inverted_on_reading(case, tmp_path):
-    path = tmp_path / "field.nrrd"
-    case.write(path)
-    field = read_field(path)
-    read = field.displacement if case.axes == case.n else field.displacement[0, ..., 1:]
-    away = np.abs(read - case.displacement) / case.size
-    assert away[inside(case)].max() < 0.02
-    assert field.residual < 0.02
+        assert field.residual < (1e-12 if forward else 0.02)
+        np.testing.assert_allclose(field.spacing, case.spacing, rtol=1e-6)
+        np.testing.assert_allclose(field.direction, case.direction, atol=1e-6)
 
 
 def test_the_key_of_slicer_stores_the_direction_of_a_field(tmp_path):
-    case = FieldCase("3-D")
     for forward, word in ((False, "resampling"), (True, "modeling")):
         path = tmp_path / f"{word}.nrrd"
-        case.write(path, forward=forward)
+        write_field(path, np.zeros((4, 5, 2)), spacing=(1, 1), forward=forward)
         assert f"displacement field type:={word}".encode() in path.read_bytes()[:2000]
-        read = read_field(path).displacement  # The stored direction applies without an argument.
-        assert np.abs((read - case.displacement) / case.size)[inside(case)].max() < 0.02
-
-
-def test_forward_after_inverse_is_the_identity(case):
-    back, residual = inverse_displacement(case.displacement, spacing=tuple(case.size))
-    again, _ = inverse_displacement(back, spacing=tuple(case.size))
-    away = np.abs(again - case.displacement) / case.size
-    assert residual < 0.01
-    assert away[inside(case)].max() < 0.01
 
 
 def test_a_gap_beside_static_tissue_is_interpolated_from_its_rim():
@@ -135,35 +86,23 @@ def test_a_gap_beside_static_tissue_is_interpolated_from_its_rim():
     assert ((back[6, 4:6, 1] > -2) & (back[6, 4:6, 1] < 0)).all()
 
 
-@pytest.mark.parametrize(
-    ("name", "changes", "error", "sentence"),
-    [
-        (
-            "field.txt",
-            {},
-            FileFormatError,
-            r"field\.txt: fields cannot be written in this format\. Use",
-        ),
-        ("f.mha", {"displacement": np.zeros((4, 5))}, ProblemError, r"has shape \(4, 5\)\. Pass"),
-        ("f.mha", {"displacement": np.zeros((4, 5, 3))}, ProblemError, r"has shape \(4, 5, 3\)"),
-        ("f.mha", {"displacement": np.full((4, 5, 2), np.nan)}, ProblemError, "NaN or infinite"),
-        (
-            "f.mha",
-            {"spacing": (1, 0)},
-            ProblemError,
-            r"spacing: is \(1, 0\)\. Pass positive lengths",
-        ),
-        ("f.mha", {"spacing": (1, 1, 1, 1)}, ProblemError, r"Pass 2 or 3 lengths"),
-        ("f.mha", {"origin": (1, 2, 3)}, ProblemError, r"origin: is \(1, 2, 3\)\. Pass 2 lengths"),
-        ("f.mha", {"direction": [[1, 1], [0, 1]]}, ProblemError, "Pass an orthogonal"),
-    ],
-)
-def test_an_invalid_field_is_refused_in_one_sentence_and_no_file_is_written(
-    tmp_path, name, changes, error, sentence
-):
-    given = {"displacement": np.zeros((4, 5, 2)), "spacing": (1, 1), **changes}
-    with pytest.raises(error, match=sentence):
-        write_field(tmp_path / name, given.pop("displacement"), **given)
+def test_an_invalid_field_is_refused_and_no_file_is_written(tmp_path):
+    zeros = np.zeros((4, 5, 2))
+    for changes in (
+        {"displacement": np.zeros((4, 5))},
+        {"displacement": np.zeros((4, 5, 3))},
+        {"displacement": np.full((4, 5, 2), np.nan)},
+        {"spacing": (1, 0)},
+        {"spacing": (1, 1, 1, 1)},
+        {"origin": (1, 2, 3)},
+        {"direction": [[1, 1], [0, 1]]},
+    ):
+        (field,) = changes
+        with pytest.raises(ProblemError) as refused:
+            write_field(tmp_path / "f.mha", **{"displacement": zeros, "spacing": (1, 1), **changes})
+        assert refused.value.field == field
+    with pytest.raises(FileFormatError, match=r"field\.txt"):
+        write_field(tmp_path / "field.txt", zeros, spacing=(1, 1))
     assert not list(tmp_path.iterdir())
 
 

@@ -13,37 +13,44 @@ from damaged_fields import make_field
 
 from napari_hmrf import FileFormatError
 from napari_hmrf.fields import read_field
-from tests.support.exchanged_fields import PLACES, FieldCase, check_field_file
+from tests.support.exchanged_fields import FieldCase, check_field_file
 
 sitk = pytest.importorskip("SimpleITK")
 
 
-@pytest.fixture(params=PLACES)
-def case(request):
-    return FieldCase(request.param)
-
-
-@pytest.mark.parametrize("kind", [np.float32, np.float64])
-@pytest.mark.parametrize("suffix", [".nii.gz", ".nii", ".mha", ".mhd", ".nrrd", ".nhdr"])
-def test_a_vector_image_written_by_simpleitk_is_read(case, suffix, kind, tmp_path):
-    path = tmp_path / f"field{suffix}"
+@pytest.mark.parametrize(
+    ("name", "suffix", "kind"),
+    [
+        ("2-D", ".nii.gz", np.float32),
+        ("3-D", ".nii", np.float64),
+        ("slice", ".mha", np.float32),
+        ("3-D", ".mhd", np.float64),
+        ("slice", ".nrrd", np.float64),
+        ("2-D", ".nhdr", np.float32),
+    ],
+)
+def test_a_vector_image_written_by_simpleitk_is_read(name, suffix, kind, tmp_path):
+    case, path = FieldCase(name), tmp_path / f"field{suffix}"
     sitk.WriteImage(case.vectors(kind), str(path))
     check_field_file(case, path)
 
 
-@pytest.mark.parametrize("suffix", [".h5", ".tfm"])
-@pytest.mark.parametrize("composite", [False, True])
-def test_a_transform_written_by_simpleitk_is_read(case, suffix, composite, tmp_path):
-    path, transform = tmp_path / f"field{suffix}", sitk.DisplacementFieldTransform(case.vectors())
+@pytest.mark.parametrize(
+    ("name", "suffix", "composite"),
+    [("2-D", ".h5", False), ("3-D", ".h5", True), ("slice", ".tfm", False), ("3-D", ".tfm", True)],
+)
+def test_a_transform_written_by_simpleitk_is_read(name, suffix, composite, tmp_path):
+    case, path = FieldCase(name), tmp_path / f"field{suffix}"
+    transform = sitk.DisplacementFieldTransform(case.vectors())
     if composite:
         transform = sitk.CompositeTransform([transform])
     sitk.WriteTransform(transform, str(path))
     check_field_file(case, path)
 
 
-def test_a_warp_after_an_affine_map_is_read_as_their_composition(case, tmp_path):
-    path, n = tmp_path / "Composite.h5", case.axes
-    shift = sitk.TranslationTransform(n, [0.3, -0.2, 0.1][:n])
+def test_a_warp_after_an_affine_map_is_read_as_their_composition(tmp_path):
+    case, path = FieldCase("slice"), tmp_path / "Composite.h5"
+    shift = sitk.TranslationTransform(3, [0.3, -0.2, 0.1])
     whole = sitk.CompositeTransform([shift, sitk.DisplacementFieldTransform(case.vectors())])
     sitk.WriteTransform(whole, str(path))
     moved = case.whole + (case.direction.T @ shift.GetOffset())[::-1]
@@ -51,12 +58,12 @@ def test_a_warp_after_an_affine_map_is_read_as_their_composition(case, tmp_path)
     assert np.abs((read - moved) / case.spacing).max() < 1e-4
 
 
-@pytest.mark.parametrize("kind", [sitk.AffineTransform, sitk.CompositeTransform])
-def test_a_transform_without_a_field_is_refused(kind, tmp_path):
+def test_a_transform_without_a_field_is_refused(tmp_path):
     path, affine = tmp_path / "affine.h5", sitk.AffineTransform(2)
-    sitk.WriteTransform(affine if kind is sitk.AffineTransform else kind([affine]), str(path))
-    with pytest.raises(FileFormatError, match=r"affine\.h5: not a displacement field that can be"):
-        read_field(path)
+    for transform in (affine, sitk.CompositeTransform([affine])):
+        sitk.WriteTransform(transform, str(path))
+        with pytest.raises(FileFormatError, match=r"affine\.h5"):
+            read_field(path)
 
 
 #: Header that transformix writes before the numbers of a deformationField.mha.
@@ -80,8 +87,9 @@ def words(values):
     return " ".join(f"{value:.17g}" for value in np.ravel(values))
 
 
-def test_a_deformation_field_of_transformix_is_read(case, tmp_path):
-    path, vectors = tmp_path / "deformationField.mha", case.vectors(np.float32)
+def test_a_deformation_field_of_transformix_is_read(tmp_path):
+    case, path = FieldCase("slice"), tmp_path / "deformationField.mha"
+    vectors = case.vectors(np.float32)
     header = METAIMAGE.format(
         n=case.axes,
         matrix=words(case.direction.T),  # In the order of the axes.
@@ -124,9 +132,10 @@ def nifti(case, *, by_matrix, order="<"):
     return bytes(header) + np.moveaxis(vectors, -1, 0).astype(order + "f4").tobytes()
 
 
-@pytest.mark.parametrize("order", "<>")
-@pytest.mark.parametrize("by_matrix", [True, False])
-@pytest.mark.parametrize("suffix", [".nii", ".nii.gz"])
+@pytest.mark.parametrize(
+    ("suffix", "by_matrix", "order"),
+    [(".nii", True, "<"), (".nii", False, ">"), (".nii.gz", False, "<")],
+)
 def test_one_slice_in_nifti_retains_its_place_in_the_volume(suffix, by_matrix, order, tmp_path):
     case, path = FieldCase("slice"), tmp_path / f"deformationField{suffix}"
     content = nifti(case, by_matrix=by_matrix, order=order)
@@ -151,7 +160,7 @@ def test_a_truncated_file_is_refused_as_a_field(suffix, tmp_path):
     make_field(whole)
     content = whole.read_bytes()
     whole.unlink()
-    for share in (0, 0.01, 0.3, 0.7, 0.98):
+    for share in (0, 0.3, 0.98):
         cut.write_bytes(content[: int(share * len(content))])
         with pytest.raises(FileFormatError, match=rf"cut\{suffix}: not a displacement field"):
             read_field(cut)

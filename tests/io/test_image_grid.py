@@ -103,7 +103,7 @@ def image_and_array(kind, image, tmp_path):
     return path, sitk.GetArrayFromImage(image)
 
 
-@pytest.mark.parametrize("kind", ["simpleitk", "nibabel", ".mha", ".nrrd", ".nii.gz"])
+@pytest.mark.parametrize("kind", ["simpleitk", "nibabel", ".nii.gz"])
 def test_simpleitk_and_warp_move_a_volume_alike(kind, tmp_path):
     image = scan()
     given, pixels = image_and_array(kind, image, tmp_path)
@@ -124,8 +124,7 @@ def test_simpleitk_and_warp_move_a_volume_alike(kind, tmp_path):
     assert np.abs(by_us - still).max() > 2
 
 
-@pytest.mark.parametrize("axis", [0, 1, 2])
-@pytest.mark.parametrize("kind", ["simpleitk", "nibabel"])
+@pytest.mark.parametrize(("kind", "axis"), [("simpleitk", 0), ("nibabel", 1), ("simpleitk", 2)])
 def test_the_field_of_a_slice_moves_only_that_slice(kind, axis, tmp_path, capsys):
     image = scan()
     given, pixels = image_and_array(kind, image, tmp_path)
@@ -285,7 +284,7 @@ def test_a_field_is_not_exported_to_another_place_than_its_own(tmp_path):
     assert not (tmp_path / "b.mha").exists()
 
 
-@pytest.mark.parametrize("unit", ["mm", "millimeter", "", "pixel", "um"])
+@pytest.mark.parametrize("unit", ["millimeter", "", "um"])
 def test_a_field_of_the_same_spacing_is_exported_on_a_grid(unit, tmp_path):
     sizes = tuple(1000 * size for size in SPACING) if unit == "um" else SPACING
     solution = placed_field(unit=unit, spacing=sizes)
@@ -293,13 +292,13 @@ def test_a_field_of_the_same_spacing_is_exported_on_a_grid(unit, tmp_path):
     np.testing.assert_allclose(sitk.ReadImage(str(tmp_path / "a.mha")).GetSpacing(), SPACING[::-1])
 
 
-@pytest.mark.parametrize("unit", ["um", "cm", "m", "furlong", "second", "apple"])
+@pytest.mark.parametrize("unit", ["um", "furlong", "second"])
 def test_a_field_in_another_unit_than_its_grid_is_not_exported(unit, tmp_path):
     with pytest.raises(ProblemError, match=f"the field has pixels of 2 x 1 x 1.5 {unit}"):
         placed_field(unit=unit).export(tmp_path / "a.mha", grid=Grid.from_image(scan()))
 
 
-@pytest.mark.parametrize(("unit", "factor"), [("um", 1e-3), ("cm", 10), ("", 1), ("pixel", 1)])
+@pytest.mark.parametrize(("unit", "factor"), [("um", 1e-3), ("cm", 10), ("pixel", 1)])
 def test_a_field_at_the_origin_is_written_in_millimetres(unit, factor, tmp_path):
     solution = placed_field(unit=unit)
     solution = replace(solution, displacement=solution.displacement + np.float32(0.5))

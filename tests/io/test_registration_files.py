@@ -89,10 +89,7 @@ def test_simpleitk_moves_the_second_image_to_the_first_with_the_written_field(pa
     written = report()
     assert written["similarity_before"] < 0.9 < written["similarity_after"]
     assert written["unit"] == "mm"
-
-
-def test_the_study_holds_the_motion_and_replays(pair, capsys):
-    assert register("before.mha", "after.mha") == 0
+    # The study contains the motion, and is replayed.
     study, solution = read_study("out/before.study")
     assert np.linalg.norm(solution.displacement - pair, axis=-1)[INNER].mean() < 0.1
     assert study.motion.measured.record["second image"] == "after"
@@ -119,15 +116,13 @@ def test_different_grids_at_their_places_show_the_same_displacement():
     assert np.linalg.norm(field - truth, axis=-1)[INNER].mean() < 0.2
 
 
-@pytest.mark.parametrize("direction", [np.eye(2), np.array([[0.0, 1.0], [1.0, 0.0]])])
-def test_an_alignment_is_part_of_the_field_but_not_of_the_study(direction):
+def test_an_alignment_is_part_of_the_field_but_not_of_the_study():
     before = texture(3, width=4)
     image = write("before.mha", before)
     moved = sitk.Euler2DTransform((32.0, 32.0), np.radians(-6), (-4.0, 3.0))
     there = sitk.Resample(image, image, moved, sitk.sitkBSpline)
-    pixels = sitk.GetArrayFromImage(there)
-    turned = pixels if direction[0, 0] else pixels.T.copy()
-    write("after.mha", turned, direction=direction)
+    transposed = np.array([[0.0, 1.0], [1.0, 0.0]])
+    write("after.mha", sitk.GetArrayFromImage(there).T.copy(), direction=transposed)
     assert register("before.mha", "after.mha", "--rigid") == 0
     field = sitk.ReadImage("out/before to after field.mha", sitk.sitkVectorFloat64)
     whole = sitk.DisplacementFieldTransform(field)
@@ -185,8 +180,7 @@ def test_masks_exclude_pixels_of_each_image(pair):
         return np.linalg.norm(found - pair, axis=-1)[around].mean()
 
     write("damaged.mha", before * hole, *place)
-    masked = error("damaged.mha", "after.mha", "--mask", "mask.mha")
-    assert masked < 0.5 * error("damaged.mha", "after.mha")
+    assert error("damaged.mha", "after.mha", "--mask", "mask.mha") < 0.2
     write("other.mha", after * hole, *place)
     assert error("before.mha", "other.mha", "--moving-mask", "mask.mha") < 0.2
 
@@ -233,24 +227,21 @@ def test_a_larger_smoothness_leads_to_smaller_strains(pair):
     assert largest_change("300") < 0.5 * largest_change("1")
 
 
-#: Arguments after FIXED, and the message that they cause.
+#: Arguments after FIXED, by the file or option that the message names.
 INVALID = {
-    "volume.mha is a volume with three axes. Give two images or two volumes": ["volume.mha"],
-    "flat.png: has no position in world coordinates, but before.mha has one": ["flat.png"],
-    "'level.mha' has the same brightness everywhere": ["level.mha"],
-    "--landmark-sd requires --landmarks": ["after.mha", "--landmark-sd", "1"],
-    "zero.mha: is 0 everywhere, so that no pixel counts": ["after.mha", "--mask", "zero.mha"],
-    "small.mha: is 20 x 24, but the image is 64 x 72": ["after.mha", "--moving-mask", "small.mha"],
-    "marks.csv: has 1 of 1 landmarks outside before.mha": ["after.mha", "--landmarks", "marks.csv"],
-    "grow.csv: has growth for label 1": [
-        *("after.mha", "--labels", "labels.mha", "--materials", "grow.csv"),
-    ],
-    "there is no such file": ["none.mha"],
+    "volume.mha": "volume.mha",
+    "flat.png": "flat.png",
+    "level.mha": "level.mha",
+    "--landmarks": "after.mha --landmark-sd 1",
+    "zero.mha": "after.mha --mask zero.mha",
+    "small.mha": "after.mha --moving-mask small.mha",
+    "marks.csv": "after.mha --landmarks marks.csv",
+    "grow.csv": "after.mha --labels labels.mha --materials grow.csv",
+    "none.mha": "none.mha",
 }
 
 
-@pytest.mark.parametrize("message", INVALID)
-def test_invalid_input_is_refused_in_one_sentence_without_results(message, pair, folder, capsys):
+def test_invalid_input_is_refused_in_one_sentence_without_results(pair, folder, capsys):
     place = (0.5, 0.8), (10.0, -5.0)
     write("volume.mha", np.ones((8, 9, 10), np.uint8))
     write_image("flat.png", ImageFile(np.ones(SHAPE, np.uint8)))
@@ -260,10 +251,11 @@ def test_invalid_input_is_refused_in_one_sentence_without_results(message, pair,
     write("small.mha", np.ones((20, 24), np.uint8))
     write_points("marks.csv", [(900.0, 3.0)], [(3.0, 3.0)])
     (folder / "grow.csv").write_text("label,name,stiffness,poisson,growth\n1,a,1,0.3,0.1\n")
-    assert register("before.mha", *INVALID[message]) == 1
-    said = capsys.readouterr().err
-    assert message in said
-    assert said.count("\n") == 1
+    for name, arguments in INVALID.items():
+        assert register("before.mha", *arguments.split()) == 1
+        said = capsys.readouterr().err
+        assert name in said
+        assert said.count("\n") == 1
     assert not list(folder.glob("out/*"))
 
 

@@ -1,7 +1,6 @@
 """Tests of files of volumes and of their displacement fields."""
 
 from dataclasses import replace
-from itertools import permutations
 
 import numpy as np
 import pytest
@@ -27,7 +26,7 @@ from napari_hmrf.field.inverse_field import inverse_displacement
 from napari_hmrf.field.moved_points import moved_points
 from napari_hmrf.fields import is_study_file, read_field, write_movie
 from napari_hmrf.io.apply import apply_field, read_field_file
-from napari_hmrf.io.fields import FIELD_SUFFIXES, Place, export_field, place_of
+from napari_hmrf.io.fields import Place, export_field, place_of
 from napari_hmrf.io.figures import write_result_pictures
 from napari_hmrf.io.images import ImageFile, read_image, write_image
 from napari_hmrf.io.results import measured
@@ -104,22 +103,16 @@ def test_the_place_of_a_volume_is_the_place_of_its_frame(solution):
     assert place_of(replace(solution, frame=film.as_dict())).spacing == SIZE
 
 
-@pytest.mark.parametrize("suffix", FIELD_SUFFIXES)
-def test_simpleitk_and_warp_move_a_volume_alike(solution, suffix, tmp_path):
+def test_simpleitk_and_warp_move_a_volume_alike(solution, tmp_path):
     sitk = pytest.importorskip("SimpleITK")
-    path, image = tmp_path / f"field{suffix}", smooth_image()
+    path, image = tmp_path / "field.nrrd", smooth_image()
     residual = export_field(path, solution)
     assert residual < 0.05
     there = sitk.GetImageFromArray(image)
     there.SetSpacing(SIZE[::-1])
     there.SetOrigin(ORIGIN)
     there.SetDirection(PLACE.direction.ravel())
-    if suffix == ".h5":
-        transform = sitk.ReadTransform(str(path))
-    else:
-        transform = sitk.DisplacementFieldTransform(
-            sitk.ReadImage(str(path), sitk.sitkVectorFloat64)
-        )
+    transform = sitk.DisplacementFieldTransform(sitk.ReadImage(str(path), sitk.sitkVectorFloat64))
     seen = sitk.GetArrayFromImage(sitk.Resample(there, there, transform, sitk.sitkLinear))
     ours, ones = moved(image, solution), moved(solution.tissue.astype(float), solution)
     inside = inner(ones > 0.99)
@@ -130,10 +123,9 @@ def test_simpleitk_and_warp_move_a_volume_alike(solution, suffix, tmp_path):
     assert np.abs(ours - image)[inside].max() > 10
 
 
-@pytest.mark.parametrize("suffix", FIELD_SUFFIXES[:-1])
-def test_the_field_of_a_volume_is_read_back_unchanged(solution, suffix, tmp_path):
+def test_the_field_of_a_volume_is_read_back_unchanged(solution, tmp_path):
     pytest.importorskip("SimpleITK")
-    path = tmp_path / f"field{suffix}"
+    path = tmp_path / "field.nii.gz"
     assert export_field(path, solution, forward=True) == 0
     field = read_field(path)
     np.testing.assert_allclose(field.displacement, solution.displacement, atol=1e-4)
@@ -142,7 +134,7 @@ def test_the_field_of_a_volume_is_read_back_unchanged(solution, suffix, tmp_path
     np.testing.assert_allclose(field.origin, ORIGIN, atol=1e-4)
 
 
-@pytest.mark.parametrize("plane", list(permutations(range(3)))[1:])
+@pytest.mark.parametrize("plane", [(0, 2, 1), (1, 2, 0)])
 def test_the_place_of_a_field_does_not_depend_on_the_order_of_its_axes(solution, plane, tmp_path):
     sitk = pytest.importorskip("SimpleITK")
     turned = replace(

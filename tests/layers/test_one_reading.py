@@ -80,7 +80,7 @@ def same_problem(one, other):
     assert one.prior == other.prior
 
 
-@settings(deadline=None, max_examples=30, suppress_health_check=[HealthCheck.too_slow])
+@settings(deadline=None, max_examples=8, suppress_health_check=[HealthCheck.too_slow])
 @given(seeds, materials, rules, marks, some.booleans())
 def test_layers_and_arrays_give_the_same_problem(seed, table, rules, drawing, hold_edge):
     tissue, boundary = painted(seed)
@@ -100,7 +100,7 @@ def test_layers_and_arrays_give_the_same_problem(seed, table, rules, drawing, ho
     same_problem(build_problem(by_layers), build_problem(by_arrays))
 
 
-@settings(deadline=None, max_examples=20, suppress_health_check=[HealthCheck.too_slow])
+@settings(deadline=None, max_examples=6, suppress_health_check=[HealthCheck.too_slow])
 @given(seeds, materials, rules, some.lists(marks, min_size=2, max_size=4))
 def test_successive_drawings_give_the_problem_of_the_last_drawing(seed, table, rules, drawings):
     tissue, boundary = painted(seed)
@@ -117,7 +117,7 @@ def test_successive_drawings_give_the_problem_of_the_last_drawing(seed, table, r
     same_problem(ground.statement(rendering.canvas), at_once)
 
 
-@settings(deadline=None, max_examples=12, suppress_health_check=[HealthCheck.too_slow])
+@settings(deadline=None, max_examples=5, suppress_health_check=[HealthCheck.too_slow])
 @given(some.lists(some.tuples(places, places), min_size=1, max_size=4, unique_by=lambda p: p[0]))
 def test_landmarks_from_layers_and_from_a_study_give_the_same_problem(pairs):
     where, should = (np.array(each) for each in zip(*pairs, strict=True))
@@ -189,7 +189,7 @@ def test_a_drawing_is_combined_with_the_painted_boundary(tumour):
     )
 
 
-@pytest.mark.parametrize("energy", ["elastic", "paper"])
+@pytest.mark.parametrize("energy", ["elastic", pytest.param("paper", marks=pytest.mark.campaign)])
 def test_the_window_and_python_give_the_same_field_bit_by_bit(tumour, qtbot, energy):
     deform = tumour
     deform.live = False

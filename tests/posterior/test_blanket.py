@@ -12,7 +12,7 @@ from napari_hmrf.posterior.blanket import CliqueNoise
 from tests.support.paper_oracle import cliques, potential
 
 BLANKET = SeilerPrior(conditional="blanket")
-COUNT = 100
+COUNT = 50
 
 
 def held_block(shape=(8, 7), spacing=(1.0, 1.0), moved=0.0):

@@ -42,8 +42,13 @@ UNIFORM = stretched(np.ones((SIZE, SIZE)))
 SEEN, SD = noisy(plane_stress_displacement(stretched(stiffness_of(TRUE)), NU))
 
 
-def test_ratios_of_stiffness_are_found_from_the_motion_of_another_program():
-    found = fit(UNIFORM, LABELS, measured=SEEN, sd=SD, stiffness=[2, 3, 4], prior=ElasticPrior(NU))
+@pytest.fixture(scope="module")
+def found():
+    """Return the fit of the stiffness of three labels."""
+    return fit(UNIFORM, LABELS, measured=SEEN, sd=SD, stiffness=[2, 3, 4], prior=ElasticPrior(NU))
+
+
+def test_ratios_of_stiffness_are_found_from_the_motion_of_another_program(found):
     assert found.misfit == pytest.approx(1, abs=0.1)
     for label in (2, 3, 4):
         value = found.stiffness[label]
@@ -108,11 +113,10 @@ def test_missing_values_do_not_count():
     assert found.stiffness[4].interval[0] < TRUE[4] < found.stiffness[4].interval[1]
 
 
-def test_intervals_are_longer_if_the_model_does_not_explain_the_motion():
-    right = fit(UNIFORM, LABELS, measured=SEEN, sd=SD, stiffness=[2, 3, 4], prior=ElasticPrior(NU))
+def test_intervals_are_longer_if_the_model_does_not_explain_the_motion(found):
     wrong = fit(UNIFORM, LABELS, measured=SEEN, sd=SD / 3, stiffness=[2, 3, 4])
     assert wrong.misfit > 5
-    assert wrong.stiffness[2].sd > 0.8 * right.stiffness[2].sd
+    assert wrong.stiffness[2].sd > 0.8 * found.stiffness[2].sd
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,7 @@
-"""Tests of the examples: each is run, and its printed numbers are checked."""
+"""Tests of the examples: each is run, and its printed numbers are checked.
+
+Three run in the suite, and the others in campaigns.
+"""
 
 import re
 import runpy
@@ -9,6 +12,8 @@ import pytest
 
 from napari_hmrf import Solution
 from napari_hmrf.data import phantom
+
+campaign = pytest.mark.campaign
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
@@ -40,6 +45,7 @@ def test_a_stiff_disc_is_hardly_strained_and_moves_half_of_the_distance(run_exam
     assert number("# to the right", text) == pytest.approx(4, abs=0.3)
 
 
+@campaign
 def test_a_growing_tumour_compresses_the_surrounding_tissue(run_example, tmp_path):
     text = run_example("growing_tumour")
     assert number("area of the tumour: # %", text) > 120
@@ -54,6 +60,7 @@ def test_a_growing_tumour_compresses_the_surrounding_tissue(run_example, tmp_pat
     assert (saved.tissue == phantom("mass-effect", size=150).problem.tissue).all()
 
 
+@campaign
 def test_a_sphere_grows_in_slice_and_volume_and_its_files_have_the_place_of_the_scan(
     run_example, tmp_path
 ):
@@ -91,6 +98,7 @@ def test_landmarks_in_millimetres_reach_their_targets(run_example):
     assert number("further than # mm", text) == pytest.approx(3, abs=0.05)
 
 
+@campaign
 def test_the_converged_and_the_elastic_fields_are_closer_to_finite_elements_than_the_paper(
     run_example,
 ):
@@ -101,6 +109,7 @@ def test_the_converged_and_the_elastic_fields_are_closer_to_finite_elements_than
     assert paper < 1.44, "the error exceeds that reported by the paper"
 
 
+@campaign
 def test_a_tissue_model_improves_a_registration_and_leaves_bone_unstrained(
     run_example,
 ):
@@ -112,6 +121,7 @@ def test_a_tissue_model_improves_a_registration_and_leaves_bone_unstrained(
     assert strained[1] < 0.2 < 3 < strained[0]
 
 
+@campaign
 def test_masks_keep_a_removed_tumour_from_moving_the_brain(run_example):
     text = run_example("removed_tumour")
     by = {
@@ -123,6 +133,7 @@ def test_masks_keep_a_removed_tumour_from_moving_the_brain(run_example):
     assert text.count("folds 0") == 2
 
 
+@campaign
 def test_a_brain_sinks_into_the_cavity_of_a_resection(run_example):
     text = run_example("resected_tumour")
     moves = {
@@ -134,6 +145,7 @@ def test_a_brain_sinks_into_the_cavity_of_a_resection(run_example):
     assert floor["empty"] < floor["half full"] < floor["full"] < 0  # fluid presses on the floor
 
 
+@campaign
 def test_sliding_lungs_slip_along_the_wall_and_are_strained_less_than_sticking_lungs(run_example):
     text = run_example("sliding_lungs")
     slip = {name: number(f"{name} lungs: slip # px", text) for name in ("sliding", "sticking")}
@@ -144,6 +156,7 @@ def test_sliding_lungs_slip_along_the_wall_and_are_strained_less_than_sticking_l
     assert text.count("folds 0") == 2
 
 
+@campaign
 def test_registered_sections_match_like_those_of_the_block(run_example):
     text = run_example("sections")
     match = {name: number(f"{name}: .* by #", text) for name in ("block", "as cut", "registered")}
@@ -152,6 +165,7 @@ def test_registered_sections_match_like_those_of_the_block(run_example):
     assert number("^.*folds: #$", text.strip().splitlines()[-1]) == 0
 
 
+@campaign
 def test_the_error_bar_of_a_tumour_contains_its_true_place(run_example):
     text = run_example("uncertainty")
     truth = number("tumour: # px down in truth", text)
@@ -170,6 +184,7 @@ def test_warm_starts_give_the_field_of_cold_starts_with_fewer_iterations(run_exa
     assert number("# iterations in all", text) < number("each time, #", text)
 
 
+@campaign
 def test_a_growing_tumour_compresses_the_surrounding_volume(run_example):
     text = run_example("volume")
     volumes = {name: float(share) for name, share in re.findall(r"(\w+): .* is ([\d.]+) %", text)}
@@ -180,6 +195,7 @@ def test_a_growing_tumour_compresses_the_surrounding_volume(run_example):
     assert number("within # px", text) <= 0.001
 
 
+@campaign
 def test_ventricles_shrink_with_the_growth_and_the_stiffness_of_the_tumour(run_example):
     found = re.findall(
         r"growth-tumour-([\d.]+)_stiffness-tumour-(\d+): ventricles (.*) %", run_example("sweep")
@@ -191,6 +207,7 @@ def test_ventricles_shrink_with_the_growth_and_the_stiffness_of_the_tumour(run_e
     assert narrower["0.1", "30"] < narrower["0.1", "3"] < 0
 
 
+@campaign
 def test_random_deformations_do_not_fold_leave_bone_rigid_and_match_full_solves(
     run_example, tmp_path
 ):

@@ -1,4 +1,4 @@
-"""Tests of the wheel, installed in a new environment and run from another folder."""
+"""Campaigns with the wheel, installed in a new environment and run from another folder."""
 
 import os
 import re
@@ -16,9 +16,12 @@ import napari_hmrf
 
 ROOT = Path(__file__).resolve().parents[2]
 
-pytestmark = pytest.mark.skipif(
-    not (ROOT / "pyproject.toml").exists(), reason="needs a checkout of the repository"
-)
+pytestmark = [
+    pytest.mark.campaign,
+    pytest.mark.skipif(
+        not (ROOT / "pyproject.toml").exists(), reason="needs a checkout of the repository"
+    ),
+]
 
 SOLVE_ELSEWHERE = """
 import sys

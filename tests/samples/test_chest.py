@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import scipy
 
-from napari_hmrf import solve
+from napari_hmrf import ArgumentError, solve
 from napari_hmrf.data import chest_phantom
 from napari_hmrf.samples.chest import ABDOMEN, HEART, LUNGS, RIBS, WALL
 
 
 @pytest.fixture(scope="module")
 def chest():
-    return chest_phantom()
+    return chest_phantom(128)
 
 
 @pytest.mark.parametrize("size", [96, 131])
@@ -37,16 +37,16 @@ def test_vessels_make_the_motion_of_a_lung_visible(chest):
 def test_a_breath_slides_the_lungs_along_the_ribs_without_folds(chest):
     solution = solve(chest.problem, backend="cpu")
     down, lungs = solution.displacement[..., 0], chest.tissue_labels == LUNGS.label
-    for row in range(110, 160, 10):
+    for row in range(55, 80, 5):
         at = np.flatnonzero(lungs[row])
-        assert min(down[row, at[1]], down[row, at[-2]]) > 6
+        assert min(down[row, at[1]], down[row, at[-2]]) > 3
         assert abs(down[row, [at[0] - 2, at[-1] + 2]]).max() < 1
     assert solution.count_folds() == 0
     by_name = {row.label: row for row in solution.measure(chest.tissue_labels)}
     assert by_name[LUNGS.label].size_change > 8
     rows = tuple(replace(row, slides=False) for row in chest.materials)
     stuck = solve(replace(chest, materials=rows).problem, backend="cpu")
-    assert stuck.displacement[130, np.flatnonzero(lungs[130])[1], 0] < 1
+    assert stuck.displacement[65, np.flatnonzero(lungs[65])[1], 0] < 1
 
 
 def test_the_breath_of_a_chest_scales_with_its_size():
@@ -54,15 +54,7 @@ def test_the_breath_of_a_chest_scales_with_its_size():
     assert chest_phantom(128, breath=-4).problem.observed.min() == pytest.approx(-2)
 
 
-@pytest.mark.parametrize(
-    ("given", "complaint"),
-    [
-        ({"size": 95}, "size must be a whole number of at least 96"),
-        ({"size": 100.5}, "size must be a whole number"),
-        ({"size": 100.0}, "size must be a whole number"),
-        ({"breath": float("nan")}, "breath must be a distance in pixels"),
-    ],
-)
-def test_a_chest_that_cannot_be_drawn_is_refused(given, complaint):
-    with pytest.raises(ValueError, match=complaint):
-        chest_phantom(**given)
+def test_a_chest_that_cannot_be_drawn_is_refused():
+    for given in ({"size": 95}, {"size": 100.5}, {"size": 100.0}, {"breath": float("nan")}):
+        with pytest.raises(ArgumentError, match=f"^{next(iter(given))} "):
+            chest_phantom(**given)

@@ -7,7 +7,7 @@ from scipy.ndimage import label
 from napari_hmrf import ArgumentError, solve, warp
 from napari_hmrf.data import head_phantom
 from napari_hmrf.field.strain import jacobian_determinant
-from napari_hmrf.samples.head import GROWTH, SAMPLE_SIZE
+from napari_hmrf.samples.head import GROWTH
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +46,7 @@ def test_the_tumour_grows_and_the_brain_stays_inside_the_skull(small, grown):
 
 
 def test_the_tissue_of_the_sample_does_not_fold():
-    assert solve(head_phantom(SAMPLE_SIZE, growth=GROWTH).problem).count_folds() == 0
+    assert solve(head_phantom(48, growth=GROWTH).problem).count_folds() == 0
 
 
 def test_the_rim_moves_outward_and_the_skull_is_fixed(small):
@@ -87,7 +87,7 @@ def test_the_head_is_reproducible_and_read_only(small):
         small.image[0, 0, 0] = 1
 
 
-@pytest.mark.parametrize("size", [23, 30.5, "large", None])
-def test_an_invalid_size_of_the_head_is_refused(size):
-    with pytest.raises(ArgumentError, match="size"):
-        head_phantom(size)
+def test_an_invalid_size_of_the_head_is_refused():
+    for size in (23, 30.5, "large", None):
+        with pytest.raises(ArgumentError, match="size"):
+            head_phantom(size)

@@ -265,7 +265,7 @@ def test_a_solution_that_could_not_be_read_is_not_written(path, solution):
     assert_same(Solution.read(path), solution)
 
 
-@pytest.mark.parametrize("part", [0.0, 0.001, 0.3, 0.7, 0.99, 0.9999])
+@pytest.mark.parametrize("part", [0.0, 0.3, 0.9999])
 def test_a_truncated_file_is_rejected(path, part):
     content = path.read_bytes()
     path.write_bytes(content[: int(part * len(content))])
@@ -276,7 +276,7 @@ def test_a_truncated_file_is_rejected(path, part):
 def test_a_flipped_bit_anywhere_is_detected_or_harmless(solution, path):
     content = path.read_bytes()
     found = 0
-    for at in np.linspace(0, len(content) - 1, 150).astype(int):
+    for at in np.linspace(0, len(content) - 1, 50).astype(int):
         damaged = bytearray(content)
         damaged[at] ^= 0x10
         path.write_bytes(damaged)
@@ -286,7 +286,7 @@ def test_a_flipped_bit_anywhere_is_detected_or_harmless(solution, path):
             found += 1
         else:  # a bit without effect, such as in a date
             assert_same(back, solution)
-    assert found > 100
+    assert found > 30
 
 
 def test_an_archive_with_a_corrupt_directory_is_rejected(path):
@@ -453,7 +453,7 @@ def test_a_damaged_file_is_read_exactly_or_rejected_with_little_memory(tmp_path)
     original = Solution.read(path)
     outcomes = set()
     tracemalloc.start()
-    for version in damaged(content, 110):
+    for version in damaged(content, 50):
         path.write_bytes(version.content)
         tracemalloc.reset_peak()
         before = tracemalloc.get_traced_memory()[0]

@@ -1,5 +1,7 @@
 """Accuracy of the reported error for difficult tissue."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -42,10 +44,22 @@ TISSUES = {
 }
 
 
-@pytest.mark.parametrize("contrast", [1e2, 1e4, 1e5, 1e7])
-@pytest.mark.parametrize("tissue", TISSUES.values(), ids=TISSUES)
+DIFFICULT = [("lumps", 1e2), ("lumps", 1e5), ("fibres", 1e4), ("fibres", 1e7)]
+
+
+@pytest.mark.parametrize(
+    ("tissue", "contrast"),
+    [
+        *DIFFICULT,
+        *(
+            pytest.param(*each, marks=pytest.mark.campaign)
+            for each in product(TISSUES, (1e2, 1e4, 1e5, 1e7))
+            if each not in DIFFICULT
+        ),
+    ],
+)
 def test_the_reported_error_of_irregular_tissue_is_a_bound(tissue, contrast):
-    problem = compressed_tissue(tissue(contrast))
+    problem = compressed_tissue(TISSUES[tissue](contrast))
     solution = solve(problem, PRIOR, optimizer=Multigrid(), backend="cpu")
     off = np.abs(solution.displacement - direct_solution(problem, PRIOR)).max()
     assert off <= 3 * solution.convergence.error + 1e-4
@@ -73,7 +87,9 @@ def test_a_factorization_of_the_whole_system_is_reported():
     assert any("factorizing" in message for message in said)
 
 
-@pytest.mark.parametrize("kind", ["expansion", "mass-effect"])
+@pytest.mark.parametrize(
+    "kind", ["mass-effect", pytest.param("expansion", marks=pytest.mark.campaign)]
+)
 def test_phantoms_converge_with_cycles_alone(kind):
     solution = solve(phantom(kind, 128).problem, PRIOR, optimizer=Multigrid(), backend="cpu")
     assert solution.convergence.way == "cycles"
@@ -91,7 +107,10 @@ def test_stiff_tissue_rotates_freely_on_oblong_pixels():
     assert np.abs(solution.displacement - direct_solution(problem, PRIOR)).max() < 1e-3
 
 
-@pytest.mark.parametrize("contrast", [1.0, 1e2, 1e4])
+@pytest.mark.parametrize(
+    "contrast",
+    [1e2, *(pytest.param(contrast, marks=pytest.mark.campaign) for contrast in (1.0, 1e4))],
+)
 def test_nearly_incompressible_tissue_needs_at_most_forty_cycles(contrast):
     i, j = np.indices((97, 97))
     m = np.where((i - 48) ** 2 + (j - 48) ** 2 < 400, contrast, 1.0)
@@ -108,7 +127,7 @@ def test_a_solve_can_be_cancelled_during_the_factorization():
     flag = During("factorizing")
     with pytest.raises(Cancelled):
         solve(
-            compressed_tissue(fibres(129, 1e6)),
+            compressed_tissue(fibres(65, 1e6)),
             PRIOR,
             optimizer=Multigrid(),
             backend="cpu",

@@ -18,6 +18,15 @@ GRIDS = [
 ]
 
 
+def paired(values):
+    """Return each grid with one of some values; all other combinations are campaigns."""
+    regular = [(*grid, *values[k % len(values)]) for k, grid in enumerate(GRIDS)]
+    every = [(*grid, *value) for grid in GRIDS for value in values]
+    return regular + [
+        pytest.param(*case, marks=pytest.mark.campaign) for case in every if case not in regular
+    ]
+
+
 def tensors(rng, grid, rank, strength, share=1.0):
     """Return random tensors of a given rank at a share of the sites."""
     axes = len(grid)
@@ -43,8 +52,9 @@ def largest_error(solution, problem, prior):
     return float(far.max()) / problem.unit
 
 
-@pytest.mark.parametrize(("grid", "spacing"), GRIDS)
-@pytest.mark.parametrize(("strength", "rank"), [(1e-3, 2), (1.0, 1), (1e4, 1), (1e4, 2)])
+@pytest.mark.parametrize(
+    ("grid", "spacing", "strength", "rank"), paired([(1e-3, 2), (1.0, 1), (1e4, 2), (1e4, 1)])
+)
 def test_data_of_any_strength_give_the_field_of_least_energy(grid, spacing, strength, rank):
     rng = np.random.default_rng(rank)
     for share in (1.0, 0.1):
@@ -102,7 +112,7 @@ def test_strong_data_are_the_limit_of_a_prescribed_motion():
     assert np.abs(by_data.displacement - held.displacement).max() < 2e-3
 
 
-@pytest.mark.parametrize("axes", [2, 3])
+@pytest.mark.parametrize("axes", [2, pytest.param(3, marks=pytest.mark.campaign)])
 def test_a_unit_of_stiffness_has_no_effect_if_precision_has_it_too(axes):
     rng = np.random.default_rng(1)
     grid = (14,) * axes
@@ -115,7 +125,7 @@ def test_a_unit_of_stiffness_has_no_effect_if_precision_has_it_too(axes):
     assert np.abs(fields[0].displacement - fields[1].displacement).max() < 2e-3
 
 
-@pytest.mark.parametrize("axes", [2, 3])
+@pytest.mark.parametrize("axes", [2, pytest.param(3, marks=pytest.mark.campaign)])
 def test_a_ball_turns_freely_within_a_surface_that_observes_the_normal(axes):
     size, radius = (42, 13) if axes == 2 else (26, 8)
     grid = (size,) * axes
@@ -134,7 +144,9 @@ def test_a_ball_turns_freely_within_a_surface_that_observes_the_normal(axes):
     assert np.abs(field - turn)[tissue].max() < 0.02 * np.abs(turn)[tissue].max()
 
 
-@pytest.mark.parametrize("degrees", [0, 17, 45])
+@pytest.mark.parametrize(
+    "degrees", [17, *(pytest.param(degrees, marks=pytest.mark.campaign) for degrees in (0, 45))]
+)
 def test_a_block_slides_along_a_tilted_plane_and_keeps_its_distance(degrees):
     size, angle = 48, np.radians(degrees)
     along, normal = (
@@ -155,8 +167,7 @@ def test_a_block_slides_along_a_tilted_plane_and_keeps_its_distance(degrees):
     assert np.abs(field[middle] @ normal).max() < 0.1
 
 
-@pytest.mark.parametrize(("grid", "spacing"), GRIDS)
-@pytest.mark.parametrize("sd", [0.02, 0.5, 5.0])
+@pytest.mark.parametrize(("grid", "spacing", "sd"), paired([(0.02,), (0.5,), (5.0,)]))
 def test_landmarks_give_the_posterior_mean_of_the_same_prior(grid, spacing, sd):
     rng = np.random.default_rng(3)
     points = rng.random((12, len(grid))) * (np.array(grid) - 1)
@@ -172,11 +183,11 @@ def test_landmarks_give_the_posterior_mean_of_the_same_prior(grid, spacing, sd):
 
 def test_many_certain_landmarks_in_a_volume_need_few_cycles():
     rng = np.random.default_rng(2)
-    y, c = np.zeros((24, 24, 24, 3)), np.zeros((24, 24, 24, 3))
+    y, c = np.zeros((16, 16, 16, 3)), np.zeros((16, 16, 16, 3))
     c[0] = 1
-    points = rng.random((100, 3)) * 23
+    points = rng.random((60, 3)) * 15
     marks = Landmarks(points, points + rng.normal(size=points.shape), sd=0.02)
-    problem = Problem(y, c, np.ones((24, 24, 24)), landmarks=marks)
+    problem = Problem(y, c, np.ones((16, 16, 16)), landmarks=marks)
     solution = solve(problem, ElasticPrior(0.3), backend="cpu")
     assert solution.convergence.way == "cycles"
     assert len(solution.energy) <= 12

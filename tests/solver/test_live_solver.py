@@ -88,7 +88,7 @@ edits = st.lists(
 )
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=4)
 @given(edits, st.sampled_from([0.0, 0.004, 0.1]), st.sampled_from([np.inf, 0.05]))
 def test_the_final_result_depends_only_on_the_last_edit(edits, patience, penalty):
     updates, latest = [], {}

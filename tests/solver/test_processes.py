@@ -57,17 +57,27 @@ def run_script(tmp_path, script, *arguments):
     return done.stdout
 
 
-def test_child_processes_reproduce_the_solution_of_the_parent(tmp_path):
-    run_script(tmp_path, CHILDREN, *multiprocessing.get_all_start_methods())
+@pytest.mark.parametrize(
+    "methods",
+    [
+        ["spawn"],
+        pytest.param(multiprocessing.get_all_start_methods(), marks=pytest.mark.campaign),
+    ],
+    ids=",".join,
+)
+def test_child_processes_reproduce_the_solution_of_the_parent(tmp_path, methods):
+    run_script(tmp_path, CHILDREN, *methods)
 
 
 AFTER_OPENGL = """
 import os
+import threading
 
 import numpy as np
 
 from napari_hmrf import BackendError, SeilerPrior, solve
 from napari_hmrf.data import phantom
+from napari_hmrf.solver.backends.thread import compute_thread
 
 problem = phantom("expansion", size=40).problem
 expected = solve(problem, SeilerPrior(), backend="opengl").displacement
@@ -87,20 +97,7 @@ assert np.array_equal(solve(problem, SeilerPrior(), backend="opengl").displaceme
 """
 
 
-@needs_fork
-def test_a_forked_process_solves_with_the_loops_instead_of_opengl(tmp_path):
-    require_opengl()
-    run_script(tmp_path, AFTER_OPENGL)
-
-
 DURING_A_JOB = """
-import os
-import threading
-
-from napari_hmrf import BackendError, SeilerPrior, solve
-from napari_hmrf.data import phantom
-from napari_hmrf.solver.backends.thread import compute_thread
-
 problem = phantom("expansion", size=24).problem
 begun, go_on = threading.Event(), threading.Event()
 job = compute_thread.submit(lambda: (begun.set(), go_on.wait()))
@@ -130,8 +127,9 @@ assert compute_thread.submit(fork_and_solve).result() == 0, "the fork in a job f
 
 
 @needs_fork
-def test_a_fork_during_a_job_raises_an_error_with_a_remedy(tmp_path):
-    run_script(tmp_path, DURING_A_JOB)
+def test_a_fork_solves_without_opengl_and_a_fork_during_a_job_raises_an_error(tmp_path):
+    require_opengl()
+    run_script(tmp_path, AFTER_OPENGL + DURING_A_JOB)
 
 
 SAVING = """
@@ -167,19 +165,18 @@ def wait_until(condition):
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="SIGKILL requires POSIX")
-def test_a_process_killed_while_saving_leaves_a_complete_file(tmp_path):
+@pytest.mark.parametrize("share", [0.5, pytest.param(0.0, marks=pytest.mark.campaign)])
+def test_a_process_killed_while_saving_leaves_a_complete_file(tmp_path, share):
     sizes = (48, 40)
     paths = [tmp_path / f"{size}.npz" for size in sizes]
     for path, size in zip(paths, sizes, strict=True):
         solve(phantom("expansion", size=size).problem, SeilerPrior(), backend="cpu").write(path)
     path = paths[0]
-    # The file is empty, has one byte, or is at least half written.
-    for written in (0, 1, path.stat().st_size // 2):
-        command = [sys.executable, "-c", SAVING, *paths]
-        with subprocess.Popen(command, stdout=subprocess.PIPE) as process:
-            assert process.stdout.readline()
-            wait_until(lambda written=written: is_partly_saved(tmp_path, written))
-            process.kill()
-        for left in tmp_path.glob("*.tmp"):
-            left.unlink()
-        assert Solution.read(path).displacement.shape[0] in sizes
+    written = round(share * path.stat().st_size)
+    with subprocess.Popen(
+        [sys.executable, "-c", SAVING, *paths], stdout=subprocess.PIPE
+    ) as process:
+        assert process.stdout.readline()
+        wait_until(lambda: is_partly_saved(tmp_path, written))
+        process.kill()
+    assert Solution.read(path).displacement.shape[0] in sizes

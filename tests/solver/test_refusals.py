@@ -5,8 +5,6 @@ import warnings
 import live_edits
 import numpy as np
 import pytest
-import trust
-from exact.rank import free_motions
 from random_problems import random_problem
 
 from napari_hmrf import (
@@ -37,18 +35,6 @@ def test_tissue_beyond_double_precision_is_named_with_its_relative_energy():
         solve_drawn(101, 1109)
 
 
-@pytest.mark.parametrize(("number", "motions"), [(137, 1), (49, 3), (1109, 0), (1211, 0)])
-def test_zero_energy_motions_are_counted_exactly(number, motions):
-    assert free_motions(random_problem(101, number).problem) == motions
-
-
-@pytest.mark.parametrize(
-    ("number", "outcome"), [(137, "refused, free"), (1211, "refused, sensitive")]
-)
-def test_the_benchmark_classifies_an_error_by_its_cause(number, outcome):
-    assert trust.judge(random_problem(101, number), "cpu").outcome == outcome
-
-
 @pytest.mark.parametrize("prior", [ElasticPrior(), ElasticPrior(penalty=3.0), NeoHookeanPrior()])
 def test_fully_observed_tissue_can_be_one_pixel_wide(prior):
     y, c = np.zeros((2, 5, 1, 2))
@@ -72,8 +58,10 @@ def compressed_problem():
     return Problem(y, c, np.ones((12, 10)))
 
 
-@pytest.mark.parametrize("kind", [ElasticPrior, SeilerPrior, NeoHookeanPrior])
-@pytest.mark.parametrize("penalty", [1e-300, 5e-324, 1e-31, 1e31])
+@pytest.mark.parametrize(
+    ("kind", "penalty"),
+    [(ElasticPrior, 1e-31), (ElasticPrior, 1e31), (SeilerPrior, 1e-300), (NeoHookeanPrior, 5e-324)],
+)
 def test_a_penalty_out_of_range_is_rejected(kind, penalty):
     with pytest.raises(ArgumentError, match="penalty must be a number from 1e-30 to 1e"):
         kind(penalty=penalty)

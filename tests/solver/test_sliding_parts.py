@@ -39,7 +39,9 @@ def turning(size, radius, axes):
     return away, away < radius, turn * SLIP / radius
 
 
-@pytest.mark.parametrize("degrees", [0, 17, 45])
+@pytest.mark.parametrize(
+    "degrees", [17, *(pytest.param(degrees, marks=pytest.mark.campaign) for degrees in (0, 45))]
+)
 def test_a_block_slides_along_a_tilted_plane_without_a_gap(degrees):
     depth, normal, along = tilted(degrees)
     above = depth < 0
@@ -68,7 +70,10 @@ def test_a_pushed_block_climbs_a_wedge():
     assert abs(moved[depth > 0]).max() <= 0.05
 
 
-@pytest.mark.parametrize(("axes", "size", "radius"), [(2, 64, 20), (3, 24, 8)])
+@pytest.mark.parametrize(
+    ("axes", "size", "radius"),
+    [(2, 64, 20), pytest.param(3, 24, 8, marks=pytest.mark.campaign)],
+)
 def test_a_disc_turns_in_a_ring_and_a_ball_in_a_shell(axes, size, radius):
     away, inside, turn = turning(size, radius, axes)
     held = away < radius / 3
@@ -85,7 +90,9 @@ def test_a_disc_turns_in_a_ring_and_a_ball_in_a_shell(axes, size, radius):
     assert abs(moved - y)[shell].max() <= (0.05 if axes == 2 else 0.15)
 
 
-@pytest.mark.parametrize("degrees", [0, 17, 45])
+@pytest.mark.parametrize(
+    "degrees", [17, *(pytest.param(degrees, marks=pytest.mark.campaign) for degrees in (0, 45))]
+)
 def test_pressure_passes_through_an_interface_of_any_direction(degrees):
     """A block of two parts is compressed along the normal, and slips at the same time."""
     depth, normal, along = tilted(degrees)
@@ -146,7 +153,10 @@ def test_the_coupling_is_the_gradient_of_its_energy_and_resists_gaps_only():
     assert between.energy(slip.reshape(d.shape)) <= 1e-9 * between.energy(d)
 
 
-@pytest.mark.parametrize("contrast", [1.0, 10.0, 1000.0])
+@pytest.mark.parametrize(
+    "contrast",
+    [10.0, *(pytest.param(contrast, marks=pytest.mark.campaign) for contrast in (1.0, 1000.0))],
+)
 def test_sliding_takes_at_most_twice_the_cycles_of_connected_tissue(contrast):
     away, inside, turn = turning(64, 20, 2)
     held = both((away < 6) | (away > 31))

@@ -35,12 +35,12 @@ def test_progress_runs_from_0_to_1_on_the_calling_thread():
     assert "level 0 (60 x 50), sweep 70" in seen[-1].message
 
 
-@pytest.mark.parametrize("looks", [0, 1, 2, 4, 8, 12])
-def test_a_cancelled_solve_has_no_result_and_does_not_affect_the_next(looks):
+def test_a_cancelled_solve_has_no_result_and_does_not_affect_the_next():
     problem = frame_problem((40, 40))
     expected = solve(problem, SeilerPrior(), backend="cpu").displacement
-    with pytest.raises(Cancelled):
-        solve(problem, SeilerPrior(), backend="cpu", cancel=AfterLooks(looks))
+    for looks in (0, 1, 4, 12):
+        with pytest.raises(Cancelled):
+            solve(problem, SeilerPrior(), backend="cpu", cancel=AfterLooks(looks))
     np.testing.assert_array_equal(
         solve(problem, SeilerPrior(), backend="cpu").displacement, expected
     )

@@ -61,7 +61,7 @@ def play(edits, what, slot, choices):
     return values[-1] != before
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=30)
 @given(sequences)
 def test_undo_restores_the_exact_earlier_state_and_redo_the_later_state(sequence):
     """Compare the history with plain lists of whole states."""
@@ -99,7 +99,7 @@ def test_undo_restores_the_exact_earlier_state_and_redo_the_later_state(sequence
         assert state(edits) == future.pop()
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=25)
 @given(sequences, slots)
 def test_dropping_a_slot_preserves_the_undo_steps_of_the_other_slots(sequence, gone):
     """The steps of a removed layer disappear and all other steps remain."""
@@ -169,8 +169,9 @@ def test_values_that_were_set_together_are_undone_and_redone_together():
     assert [edits.undo().word, edits.undo().word, edits.undo()] == ["reset", "drew an arrow", None]
 
 
-@pytest.mark.parametrize("undone", [False, True])
-@pytest.mark.parametrize("gone", SLOTS)
+@pytest.mark.parametrize(
+    ("gone", "undone"), [(SLOTS[0], False), (SLOTS[0], True), (SLOTS[2], True)]
+)
 def test_values_of_a_joint_step_remain_together_without_a_dropped_slot(gone, undone):
     edits = reset()
     after = {slot: value for slot, value in state(edits).items() if slot != gone}

@@ -164,14 +164,6 @@ def test_a_saved_study_keeps_standard_deviations_and_is_replayed_bit_by_bit(tmp_
     np.testing.assert_array_equal(replay(path).displacement, solution.displacement)
 
 
-def test_drawings_of_earlier_versions_have_exact_landmarks():
-    drawing = Drawing((replace(MARK, sd=0), MARK))
-    exact, uncertain = drawing.as_dict()["marks"]
-    assert "sd" not in exact, "earlier versions cannot read this landmark"
-    assert uncertain["sd"] == 0.5
-    assert Drawing.from_dict(drawing.as_dict()) == drawing
-
-
 def test_pairs_have_a_common_or_their_own_standard_deviation():
     at, to = [[5.2, 6], [5.4, 6], [9, 9]], [[6, 6], [6, 7], [9, 9]]
     marks = Drawing.from_landmarks(at, to, radius=2.0, sd=[0.5, 1, 0]).marks

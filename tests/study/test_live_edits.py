@@ -110,7 +110,7 @@ def problem_of(state, prior, rendering=None):
     [ElasticPrior(), ElasticPrior(penalty=0.2), SeilerPrior()],
     ids=["exact", "slips", "paper"],
 )
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=4)
 @given(sequence=edits)
 def test_live_results_match_a_cold_solve(prior, sequence):
     steps, updates = new_history(), []

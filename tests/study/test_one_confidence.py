@@ -5,7 +5,6 @@ import math
 
 import numpy as np
 import pytest
-from exact import exact_field
 
 from napari_hmrf import (
     Arrow,
@@ -72,21 +71,22 @@ def random_uncertain_problem(seed):
     return Problem(y, c, 10 ** dice.uniform(0, 2, shape), spacing=(1.0, 1.5))
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize(
+    "seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.campaign) for seed in range(2, 9))]
+)
 def test_the_field_is_exact_for_mixed_certain_and_uncertain_observations(seed):
+    """Check the conditions of the minimum, which are sufficient because the energy is convex."""
     problem, prior = random_uncertain_problem(seed), ElasticPrior(0.4)
-    exact = exact_field(problem, prior)
-    assert exact.sure
-    found = solve(problem, prior, optimizer=Multigrid(1e-5), backend="cpu")
-    off = np.abs(found.displacement / problem.unit - exact.displacement).max()
-    assert off <= found.convergence.error + 1e-6
-    certain = problem.confidence == 1
-    held = found.displacement[certain]
-    np.testing.assert_allclose(
-        held, problem.observed[certain], atol=1e-6
-    )  # rounding errors of the units
-    slipped = (problem.confidence > 0) & ~certain
-    assert np.abs(found.displacement - problem.observed)[slipped].max() > 0.1
+    found = solve(problem, prior, optimizer=Multigrid(1e-6), backend="cpu")
+    c, off = problem.confidence, problem.observed - found.displacement
+    forces = prior.forces(problem, found.displacement)
+    np.testing.assert_allclose(off[c == 1], 0, atol=1e-6)  # rounding errors of the units
+    np.testing.assert_allclose(forces[c == 0], 0, atol=1e-4)
+    doubtful = (c > 0) & (c < 1)
+    slips = doubtful & (np.abs(off) > 1e-4)
+    assert np.abs(off)[doubtful].max() > 0.1
+    np.testing.assert_allclose(forces[slips], (np.sign(off) * c)[slips], atol=1e-4)
+    assert (np.abs(forces) <= c + 1e-4)[doubtful].all()
 
 
 @pytest.mark.parametrize("kind", [ElasticPrior, NeoHookeanPrior])

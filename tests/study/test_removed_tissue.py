@@ -61,7 +61,7 @@ def elements_without(mask):
 # Forces on the surface of a cavity
 
 
-@pytest.mark.parametrize("down", [(0.0, 0.3), (0.2, -0.1), (0.0, 0.1, 0.0), (-0.2, 0.1, 0.3)])
+@pytest.mark.parametrize("down", [(0.2, -0.1), (-0.2, 0.1, 0.3)])
 def test_a_full_cavity_bears_the_weight_of_its_fluid(down):
     shape, spacing = (24, 17, 19)[-len(down) :], (0.5, 1.3, 0.8)[-len(down) :]
     middle = [size / 2 for size in shape]

@@ -84,7 +84,9 @@ def test_a_coarse_grid_of_a_placed_volume_has_a_place_of_its_own():
     assert np.array_equal(coarse.place.matrix @ first, place.matrix @ first)
 
 
-@pytest.mark.parametrize("step", [2, 3, 4])
+@pytest.mark.parametrize(
+    "step", [3, *(pytest.param(step, marks=pytest.mark.campaign) for step in (2, 4))]
+)
 def test_a_thin_closed_shell_stays_closed_on_a_coarse_grid(step):
     away = np.linalg.norm(np.indices((40, 40, 40)) - 19.3, axis=0)
     inside = away < 15
@@ -117,7 +119,9 @@ def test_a_coarse_grid_is_the_finest_within_a_limit_of_sites(sites):
     assert grid.step == 1 or np.prod([-(-size // finer.step) for size in SHAPE]) > sites
 
 
-@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize(
+    "axis", [1, *(pytest.param(axis, marks=pytest.mark.campaign) for axis in (0, 2))]
+)
 def test_the_preview_of_a_drag_approximates_the_final_result(axis):
     study = a_study()
     number = round(PULL.at[axis])

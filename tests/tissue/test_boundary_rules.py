@@ -118,8 +118,7 @@ def test_fixed_and_moving_rules_set_displacement_and_confidence():
     np.testing.assert_array_equal(c[1], [[0, 0], [1, 0.5], [1, 1]])
 
 
-@pytest.mark.parametrize("width", [1, 2, 3])
-@pytest.mark.parametrize("radius", [6, 15, 40])
+@pytest.mark.parametrize(("radius", "width"), [(6, 1), (15, 2), (40, 3)])
 def test_a_ring_expands_radially(radius, width):
     disc, radial = _ellipse((101, 103), (radius, radius))
     painted = _rim(disc, width)
@@ -131,8 +130,7 @@ def test_a_ring_expands_radially(radius, width):
     assert np.sqrt((angles**2).mean()) < 3
 
 
-@pytest.mark.parametrize("hole", [0.1, 4.0], ids=["a pixel", "a small hole"])
-@pytest.mark.parametrize("radius", [15, 40])
+@pytest.mark.parametrize(("radius", "hole"), [(40, 0.1), (15, 4.0)])
 def test_a_patch_that_expands_prescribes_only_its_rim(radius, hole):
     disc, radial = _ellipse((101, 103), (radius, radius))
     painted = disc & ~_ellipse(disc.shape, (hole, hole))[0]
@@ -144,8 +142,15 @@ def test_a_patch_that_expands_prescribes_only_its_rim(radius, hole):
     assert _angles(y[seen], radial[seen]).max() < 12
 
 
-@pytest.mark.parametrize("spacing", [(1.0, 1.0), (0.5, 2.0), (3.0, 1.0)])
-@pytest.mark.parametrize("radii", [(30.0, 18.0), (20.0, 20.0), (18.0, 40.0)])
+@pytest.mark.parametrize(
+    ("radii", "spacing"),
+    [
+        ((30.0, 18.0), (1.0, 1.0)),
+        ((20.0, 20.0), (0.5, 2.0)),
+        ((18.0, 40.0), (0.5, 2.0)),
+        ((30.0, 18.0), (3.0, 1.0)),
+    ],
+)
 def test_an_outline_expands_along_its_normal_in_physical_lengths(radii, spacing):
     shape = tuple(int(100 / step) | 1 for step in spacing)
     filled, normal = _ellipse(shape, radii, spacing)
@@ -184,8 +189,10 @@ def test_a_rim_cut_by_the_image_edge_is_an_open_line():
         boundary_images(arc.astype(int), [BoundaryRule(1, "expand", amount=1.0)], spacing=1)
 
 
-@pytest.mark.parametrize("spacing", [(1.0, 1.0), (0.5, 2.0)], ids=["square", "oblong"])
-@pytest.mark.parametrize("width", [1, 2, 3, 8, 20, 40])
+@pytest.mark.parametrize(
+    ("width", "spacing"),
+    [(1, (1.0, 1.0)), (2, (0.5, 2.0)), (3, (1.0, 1.0)), (8, (0.5, 2.0)), (40, (1.0, 1.0))],
+)
 def test_an_open_line_is_refused_for_every_width_of_the_brush(width, spacing):
     """Refuse an open line, whose two halves would move apart."""
     length = round(10 * width * spacing[1] / spacing[0])
@@ -209,8 +216,9 @@ def test_an_arc_of_any_brush_width_is_refused_and_a_closed_ring_is_accepted(widt
         boundary_images(ring.astype(int), [rule], spacing=1)
 
 
-@pytest.mark.parametrize("scale", [1, 2, 5])
-@pytest.mark.parametrize("shape", [(1, 2), (2, 2), (2, 5), (3, 12), (6, 30)])
+@pytest.mark.parametrize(
+    ("shape", "scale"), [((1, 2), 1), ((2, 2), 2), ((2, 5), 5), ((3, 12), 2), ((6, 30), 1)]
+)
 def test_a_compact_patch_of_any_size_is_no_open_line(shape, scale):
     labels = np.zeros((40 * scale, 40 * scale), int)
     labels[3 : 3 + shape[0] * scale, 3 : 3 + shape[1] * scale] = 1

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from napari.components import ViewerModel
 
+from napari_hmrf.layers.image_choice import image_covering
 from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.ui.motion.motion_messages import START
 from napari_hmrf.ui.soft_tissue import SoftTissue
@@ -70,7 +71,7 @@ def test_a_new_dock_selects_the_image_with_a_result(frame, small_sample, run, se
     assert second.solution is not None
 
 
-def test_the_message_about_a_covered_image_follows_visibility_place_and_order(frame, two_images):
+def test_the_message_about_a_covered_image_follows_visibility_and_order(frame, two_images):
     viewer, lower, upper = two_images
     dock = frame.open()
     dock.image = lower
@@ -81,12 +82,28 @@ def test_the_message_about_a_covered_image_follows_visibility_place_and_order(fr
     viewer.layers.move(viewer.layers.index(lower), len(viewer.layers))
     assert dock.status == START
     viewer.layers.remove(upper)
-    for look in ({"opacity": 0.5}, {"blending": "additive"}, {"translate": (0, 5)}, {"rotate": 10}):
-        part = viewer.add_image(LARGER, rgb=True, name="part", **look)
-        assert dock.status == START, look
-        viewer.layers.remove(part)
     viewer.add_image(LARGER, rgb=True, name="new")
     assert dock.status.startswith("'new' covers the image")
+
+
+@pytest.mark.parametrize(
+    "look",
+    [
+        {"opacity": 0.5},
+        {"blending": "additive"},
+        {"translate": (0, 5)},
+        {"rotate": 10},
+        {"visible": False},
+    ],
+)
+def test_an_image_is_not_covered_if_a_part_of_it_is_visible(look):
+    viewer = ViewerModel()
+    image = viewer.add_image(GREY)
+    over = viewer.add_image(LARGER, rgb=True)
+    assert image_covering(viewer, image) is over
+    viewer.layers.remove(over)
+    viewer.add_image(LARGER, rgb=True, **look)
+    assert image_covering(viewer, image) is None
 
 
 def test_covered_tissue_cannot_be_pulled(pulling_beside):

@@ -147,7 +147,9 @@ def test_a_dock_of_usual_width_shows_a_warning_beside_an_offer_in_full(
 ):
     monkeypatch.setattr(work, "_LEAST_CYCLE_SITES", {2: 0.0, 3: 0.0})
     frame.show()
-    dock.native.window().resize(345, 745)  # as in a window of 1366 x 768 pixels
+    window = dock.native.window()
+    margin = window.width() - dock.native.width()
+    window.resize(345 + margin, 745)  # as in a window of 1366 x 768 pixels
     do_and_wait(Screen(dock).cell("tumour", "grows").write, "60")
     dock.settings = replace(dock.settings, budget=2.0)
     dock.model = "large motion"

@@ -160,7 +160,6 @@ def test_studies_of_several_slices_are_opened_at_their_places(dock, viewer, wait
         wait_for(lambda: not dock.busy)
         paths[at] = dock.save_study(tmp_path / f"slice{at}")
     viewer.layers.clear()
-    viewer.dims.order = (0, 1, 2)
     for at in (0, 2):
         dock.open_study(paths[at])
         wait_for(lambda: not dock.busy)

@@ -250,6 +250,7 @@ def test_undone_and_saved_edits_are_not_unsaved_and_paint_is(
     assert not dock.unsaved
     dock.redo()
     assert dock.unsaved
+    at_rest.until(lambda: len(autosaved_files()) == 1)
 
 
 def test_one_answer_saves_all_slices_and_the_volume_and_the_next_answer_saves_there_again(

@@ -339,16 +339,10 @@ def mark_as_dict(mark: Mark, motion: bool = True) -> dict[str, Any]:
     motion : bool
         False to omit the displacements of the pixels of a held patch.
     """
-    stored = dict(vars(mark))
-    if not isinstance(mark, Stroke) and not mark.amount:
-        del stored["amount"]  # earlier versions read arrows and landmarks without growth
-    if mark.motion is None:
-        del stored["motion"]  # earlier versions read patches that move as a block
-    else:
+    stored = {"kind": type(mark).__name__.lower(), **vars(mark)}
+    if mark.motion is not None:
         stored["motion"] = mark.motion.as_dict(values=motion)
-    if isinstance(mark, Landmark) and not mark.sd:
-        del stored["sd"]  # earlier versions read exact landmarks
-    return {"kind": type(mark).__name__.lower(), **stored}
+    return stored
 
 
 def mark_from_dict(values: Mapping[str, Any]) -> Mark:

@@ -106,7 +106,7 @@ class PatchMotion:
     def from_dict(cls, stored: Mapping[str, Any]) -> PatchMotion:
         """Create a motion from a dictionary that `as_dict` returned.
 
-        The values may also be numbers, as an array or a list.
+        The values may also be an array.
 
         Raises
         ------

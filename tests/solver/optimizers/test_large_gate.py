@@ -118,7 +118,9 @@ def test_a_folded_result_raises_an_error(left) -> None:
         large_motion._returned(model_of(problem), problem, d, 1e-3)
 
 
-@pytest.mark.parametrize("phase", [1.2, 1.4, 5.0])
+@pytest.mark.parametrize(
+    "phase", [1.2, *(pytest.param(phase, marks=pytest.mark.campaign) for phase in (1.4, 5.0))]
+)
 def test_tissue_crushed_between_stiff_parts_does_not_fold(phase) -> None:
     problem = crushed(phase)
     found = solve(problem, PRIOR, backend="cpu")

@@ -110,8 +110,22 @@ def test_the_compiled_energy_forces_and_tangents_match_the_prior() -> None:
         )
 
 
-@pytest.mark.parametrize("plane", ["stress", "strain"])
-@pytest.mark.parametrize("name", ["pulled", "bent", "sheared"])
+@pytest.mark.parametrize(
+    ("name", "plane"),
+    [
+        ("bent", "stress"),
+        ("sheared", "strain"),
+        *(
+            pytest.param(*case, marks=pytest.mark.campaign)
+            for case in (
+                ("pulled", "stress"),
+                ("pulled", "strain"),
+                ("bent", "strain"),
+                ("sheared", "stress"),
+            )
+        ),
+    ],
+)
 def test_large_motion_agrees_with_an_independent_solver(name, plane) -> None:
     ends = {
         "pulled": np.broadcast_to([0.0, 7.0], (16, 2)),
@@ -139,7 +153,7 @@ def test_small_motion_agrees_with_linear_elasticity() -> None:
     assert off < 1e-4 * np.abs(linear.displacement).max()
 
 
-@pytest.mark.parametrize("spacing", [(1, 1), (0.5, 1.5)])
+@pytest.mark.parametrize("spacing", [(0.5, 1.5), pytest.param((1, 1), marks=pytest.mark.campaign)])
 def test_tissue_rotates_without_strain(spacing) -> None:
     row, col = np.indices((20, 26))
     angle, size = np.deg2rad(30), np.array(spacing)

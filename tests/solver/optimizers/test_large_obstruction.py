@@ -57,10 +57,15 @@ def gap(arrow: Arrow, solution: Solution) -> float:
 @pytest.mark.parametrize(
     ("size", "blocked", "free"),
     [
-        (64, ((28, 23), 4, (-19.4, 4.9)), ((41, 18), 2, (13.8, 14.5))),
-        (10, ((2, 5, 6), 1.5, (0, 0, 9)), ((7, 5, 3), 1.5, (0, 0, 3.0))),
+        pytest.param(
+            64,
+            ((28, 23), 4, (-19.4, 4.9)),
+            ((41, 18), 2, (13.8, 14.5)),
+            id="image",
+            marks=pytest.mark.campaign,
+        ),
+        pytest.param(10, ((2, 5, 6), 1.5, (0, 0, 9)), ((7, 5, 3), 1.5, (0, 0, 3.0)), id="volume"),
     ],
-    ids=["image", "volume"],
 )
 def test_an_arrow_that_cannot_be_met_keeps_no_other_from_its_target(size, blocked, free):
     arrows = [HELD_PATCH, blocked, free] if len(blocked[0]) == 2 else [blocked, free]

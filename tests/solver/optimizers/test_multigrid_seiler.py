@@ -81,9 +81,16 @@ def reference_solution(problem, prior):
     return field.reshape(problem.observed.shape) * problem.unit
 
 
-@pytest.mark.parametrize("reading", CONDITIONALS)
-@pytest.mark.parametrize("spacing", [(1.0, 1.0), (1.0, 2.0)])
-@pytest.mark.parametrize("shape", [(31, 37), (3, 40), (2, 2)])
+@pytest.mark.parametrize(
+    ("shape", "spacing", "reading"),
+    [
+        ((31, 37), (1.0, 2.0), "centred"),
+        ((31, 37), (1.0, 2.0), "blanket"),
+        ((3, 40), (1.0, 1.0), "blanket"),
+        ((3, 40), (1.0, 2.0), "centred"),
+        ((2, 2), (1.0, 1.0), "centred"),
+    ],
+)
 def test_compiled_forces_match_the_energies(shape, spacing, reading):
     problem = random_problem(shape, spacing, ratio=1e3)
     prior = SeilerPrior(conditional=reading)
@@ -109,8 +116,7 @@ def test_compiled_forces_match_the_energies(shape, spacing, reading):
     assert energy == pytest.approx(total, rel=1e-9)
 
 
-@pytest.mark.parametrize("reading", CONDITIONALS)
-@pytest.mark.parametrize("spacing", [(1.0, 1.0), (1.0, 2.0)])
+@pytest.mark.parametrize(("spacing", "reading"), [((1.0, 1.0), "centred"), ((1.0, 2.0), "blanket")])
 def test_the_field_matches_a_direct_solve(reading, spacing):
     problem = random_problem(spacing=spacing)
     found = solve(problem, SeilerPrior(conditional=reading), optimizer=Multigrid(1e-3))
@@ -119,14 +125,25 @@ def test_the_field_matches_a_direct_solve(reading, spacing):
     assert found.convergence.error <= 1e-3
 
 
-@pytest.mark.parametrize("name", ["expansion", "mass-effect", "bar"])
-@pytest.mark.parametrize("reading", CONDITIONALS)
+@pytest.mark.parametrize(
+    ("name", "reading"),
+    [
+        ("mass-effect", "centred"),
+        *(
+            pytest.param(name, reading, marks=pytest.mark.campaign)
+            for name in ("expansion", "mass-effect", "bar")
+            for reading in CONDITIONALS
+            if (name, reading) != ("mass-effect", "centred")
+        ),
+    ],
+)
 def test_the_field_of_a_phantom_matches_a_direct_solve(name, reading):
     problem = phantom(name, 64).problem
     found = solve(problem, SeilerPrior(conditional=reading), optimizer=Multigrid(1e-3)).displacement
     assert np.abs(found - solve_exactly(problem, reading))[problem.tissue].max() < 1e-3
 
 
+@pytest.mark.campaign
 @pytest.mark.parametrize("reading", CONDITIONALS)
 def test_multigrid_matches_the_limit_of_many_icm_sweeps(reading):
     problem = phantom("expansion", 20).problem
@@ -140,16 +157,18 @@ def test_multigrid_matches_the_limit_of_many_icm_sweeps(reading):
     assert quick.iterations < patient.iterations / 10
 
 
-@pytest.mark.parametrize("reading", CONDITIONALS)
 @pytest.mark.parametrize(
-    ("spacing", "penalty"),
+    ("reading", "spacing", "penalty"),
     [
-        ((1.0, 1.0), 30.0),
-        ((2.0, 1.0), 0.3),
+        ("centred", (2.0, 1.0), 0.3),
+        ("blanket", (2.0, 1.0), 30.0),
+        pytest.param("centred", (2.0, 1.0), 30.0, marks=pytest.mark.campaign),
+        pytest.param("blanket", (2.0, 1.0), 0.3, marks=pytest.mark.campaign),
         *(
-            pytest.param(spacing, penalty, marks=pytest.mark.campaign)
+            pytest.param(reading, spacing, penalty, marks=pytest.mark.campaign)
+            for reading in CONDITIONALS
             for spacing, penalty in (
-                ((2.0, 1.0), 30.0),
+                ((1.0, 1.0), 30.0),
                 ((1.0, 1.0), 3.0),
                 ((2.0, 1.0), 3.0),
                 ((1.0, 1.0), 0.3),
@@ -167,18 +186,41 @@ def test_observations_slip_where_the_force_exceeds_their_confidence(reading, spa
     assert 0 < slipped.sum() < slipped.size or penalty != 3.0
 
 
-def test_the_number_of_cycles_is_nearly_independent_of_the_size():
-    for name in ("mass-effect", "expansion", "bar"):
-        cycles = [
-            solve(phantom(name, size).problem, SeilerPrior(), optimizer=Multigrid(0.01)).iterations
-            for size in (100, 200, 400)
-        ]
-        assert max(cycles) <= 11
-        assert max(cycles) - min(cycles) <= 4
+@pytest.mark.parametrize(
+    ("name", "sizes"),
+    [
+        ("mass-effect", (64, 160)),
+        *(
+            pytest.param(name, (100, 200, 400), marks=pytest.mark.campaign)
+            for name in ("mass-effect", "expansion", "bar")
+        ),
+    ],
+)
+def test_the_number_of_cycles_is_nearly_independent_of_the_size(name, sizes):
+    cycles = [
+        solve(phantom(name, size).problem, SeilerPrior(), optimizer=Multigrid(0.01)).iterations
+        for size in sizes
+    ]
+    assert max(cycles) <= 11
+    assert max(cycles) - min(cycles) <= 4
 
 
-@pytest.mark.parametrize("ratio", [1e2, 1e4, 1e6])
-@pytest.mark.parametrize("name", ["expansion", "mass-effect"])
+@pytest.mark.parametrize(
+    ("name", "ratio"),
+    [
+        ("expansion", 1e2),
+        ("mass-effect", 1e6),
+        *(
+            pytest.param(*case, marks=pytest.mark.campaign)
+            for case in (
+                ("expansion", 1e4),
+                ("expansion", 1e6),
+                ("mass-effect", 1e2),
+                ("mass-effect", 1e4),
+            )
+        ),
+    ],
+)
 def test_a_stiff_tumour_in_soft_tissue_is_solved_accurately(ratio, name):
     problem = phantom(name, 64).problem
     m = np.where(problem.stiffness == 40, ratio, np.where(problem.stiffness > 0, 1.0, 0.0))

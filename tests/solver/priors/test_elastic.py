@@ -1,6 +1,7 @@
 """Elastic prior: energy of finite elements, and solution by multigrid."""
 
 import threading
+from itertools import product
 
 import numpy as np
 import pytest
@@ -39,8 +40,9 @@ def random_problem(shape=(9, 7), spacing=(1.0, 1.0), void=False, ratio=5.0, seed
     return Problem(rng.normal(size=(*shape, 2)), c, m, spacing=spacing)
 
 
-@pytest.mark.parametrize("spacing", [(1.0, 1.0), (2.0, 0.5)])
-@pytest.mark.parametrize("poisson", [0.0, 0.3, 0.45])
+@pytest.mark.parametrize(
+    ("poisson", "spacing"), [(0.0, (2.0, 0.5)), (0.3, (1.0, 1.0)), (0.45, (2.0, 0.5))]
+)
 def test_the_energy_matches_bilinear_finite_elements(spacing, poisson):
     shape = (9, 7)
     first, shear = lame_parameters(1.0, poisson)
@@ -59,8 +61,7 @@ def test_the_energy_matches_bilinear_finite_elements(spacing, poisson):
     assert energy == pytest.approx(0.5 * values @ stiffness @ values, rel=1e-10)
 
 
-@pytest.mark.parametrize("plane", PLANES)
-@pytest.mark.parametrize("spacing", [(1.0, 1.0), (2.0, 0.5)])
+@pytest.mark.parametrize(("plane", "spacing"), [("stress", (2.0, 0.5)), ("strain", (1.0, 1.0))])
 def test_forces_are_the_gradient_of_the_energy(plane, spacing):
     problem = random_problem((5, 6), spacing, void=True)
     prior = ElasticPrior(0.4, plane=plane)
@@ -75,7 +76,9 @@ def test_forces_are_the_gradient_of_the_energy(plane, spacing):
         assert forces[site] == pytest.approx(slope, abs=1e-6)
 
 
-@pytest.mark.parametrize("count", [2, 3, 7])
+@pytest.mark.parametrize(
+    "count", [3, *(pytest.param(count, marks=pytest.mark.campaign) for count in (2, 7))]
+)
 def test_the_number_of_threads_does_not_change_the_field(count, monkeypatch):
     problem = random_problem((123, 96), void=True, ratio=1e3)
     monkeypatch.setattr(elastic_model, "_last", [])
@@ -89,8 +92,15 @@ def test_the_number_of_threads_does_not_change_the_field(count, monkeypatch):
     assert shared.convergence == alone.convergence
 
 
-@pytest.mark.parametrize("shape", [(31, 37), (2, 2), (13, 2), (101, 8)])
-@pytest.mark.parametrize("spacing", [(1.0, 1.0), (2.0, 0.5)])
+@pytest.mark.parametrize(
+    ("shape", "spacing"),
+    [
+        ((31, 37), (2.0, 0.5)),
+        ((2, 2), (1.0, 1.0)),
+        ((13, 2), (2.0, 0.5)),
+        ((101, 8), (1.0, 1.0)),
+    ],
+)
 def test_compiled_forces_match_the_energy(shape, spacing):
     problem = random_problem(shape, spacing, void=shape[0] > 13, ratio=1e4)
     prior = ElasticPrior(0.45, plane="strain")
@@ -116,8 +126,7 @@ def test_compiled_forces_match_the_energy(shape, spacing):
     np.testing.assert_allclose(found, -expected, atol=1e-5 * most)
 
 
-@pytest.mark.parametrize("plane", PLANES)
-@pytest.mark.parametrize("spacing", [(1.0, 1.0), (0.5, 1.5)])
+@pytest.mark.parametrize(("plane", "spacing"), [("stress", (0.5, 1.5)), ("strain", (1.0, 1.0))])
 def test_uniform_tissue_with_an_affine_border_moves_affinely(plane, spacing):
     i, j = np.mgrid[:120, :90]
     affine = np.stack([0.02 * i - 0.05 * j, 0.03 * j + 0.01 * i], axis=-1)
@@ -129,8 +138,7 @@ def test_uniform_tissue_with_an_affine_border_moves_affinely(plane, spacing):
     assert np.abs(found.displacement - affine).max() < 2e-3
 
 
-@pytest.mark.parametrize("plane", PLANES)
-@pytest.mark.parametrize("spacing", [(1.0, 1.0), (1.0, 2.5)])
+@pytest.mark.parametrize(("plane", "spacing"), [("stress", (1.0, 1.0)), ("strain", (1.0, 2.5))])
 def test_the_field_matches_a_direct_solve(plane, spacing):
     problem = random_problem((49, 62), spacing, void=True)
     prior = ElasticPrior(0.45, plane=plane)
@@ -139,16 +147,35 @@ def test_the_field_matches_a_direct_solve(plane, spacing):
     assert np.abs(found.displacement - expected)[problem.tissue].max() < 1e-3
 
 
-@pytest.mark.parametrize("name", ["expansion", "mass-effect"])
-def test_the_displacement_of_a_brain_matches_finite_elements(name):
-    problem = phantom(name, 128).problem
+@pytest.mark.parametrize(
+    ("name", "size"),
+    [
+        ("mass-effect", 96),
+        pytest.param("mass-effect", 128, marks=pytest.mark.campaign),
+        pytest.param("expansion", 128, marks=pytest.mark.campaign),
+    ],
+)
+def test_the_displacement_of_a_brain_matches_finite_elements(name, size):
+    problem = phantom(name, size).problem
     found = solve(problem, ElasticPrior(poisson=0.3))
     expected = plane_stress_displacement(problem, poisson=0.3)
     assert rmsd(found.displacement, expected, problem.tissue) < 0.005
 
 
-@pytest.mark.parametrize("poisson", [0.0, 0.3, 0.49, 0.499])
-@pytest.mark.parametrize("ratio", [1.0, 1e3, 1e6])
+MATERIALS = [(0.0, 1.0), (0.3, 1e6), (0.499, 1e3)]
+
+
+@pytest.mark.parametrize(
+    ("poisson", "ratio"),
+    [
+        *MATERIALS,
+        *(
+            pytest.param(*material, marks=pytest.mark.campaign)
+            for material in product((0.0, 0.3, 0.49, 0.499), (1.0, 1e3, 1e6))
+            if material not in MATERIALS
+        ),
+    ],
+)
 def test_any_material_converges_to_the_tolerance(poisson, ratio):
     problem = phantom("mass-effect", 64).problem
     m = np.where(problem.stiffness == 40, ratio, np.where(problem.stiffness > 0, 1.0, 0.0))
@@ -173,7 +200,7 @@ def test_the_number_of_cycles_does_not_depend_on_the_size():
         solve(
             phantom("mass-effect", size).problem, ElasticPrior(0.3), optimizer=Multigrid(0.01)
         ).iterations
-        for size in (64, 128, 256)
+        for size in (64, 160)
     ]
     assert max(cycles) - min(cycles) <= 2
     assert max(cycles) < 12

@@ -111,6 +111,7 @@ def test_an_arrow_moves_only_its_patch():
 
 
 @given(st.tuples(st.floats(0, SHAPE[0] - 1), st.floats(0, SHAPE[1] - 1)))
+@settings(max_examples=30)
 def test_the_smallest_patch_contains_a_pixel(place):
     drawn = Drawing((Arrow(place, (1, 1), radius=1e-6),)).render(Canvas.blank(SHAPE, SPACING))
     nearest = tuple(round(along) for along in place)
@@ -269,7 +270,7 @@ def test_an_arrow_is_hit_at_its_head_or_its_base():
 
 
 @given(st.lists(marks, max_size=4), st.lists(edits, max_size=12))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25)
 def test_an_updated_rendering_equals_a_new_rendering(begin, sequence):
     drawing, base = Drawing(tuple(begin)), canvas()
     rendering, before = Rendering(base), base.copy()
@@ -287,7 +288,7 @@ def test_an_updated_rendering_equals_a_new_rendering(begin, sequence):
 
 
 @given(st.lists(edits, max_size=25))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=20)
 def test_undo_and_redo_restore_the_drawing_exactly(sequence):
     """Compare with two lists of drawings, in which a drag is one step."""
     base, model = canvas(), StudyModel()
@@ -365,8 +366,10 @@ def test_history_drops_the_oldest_steps():
     assert model.drawing.marks[0].at == (2, 0)
 
 
-@pytest.mark.parametrize("by", [(0.0, 0.0), (0.0, 3.0)])
-@pytest.mark.parametrize("kind", ["arrow", "landmark", "push"])
+@pytest.mark.parametrize(
+    ("kind", "by"),
+    [("arrow", (0.0, 3.0)), ("arrow", (0.0, 0.0)), ("landmark", (0.0, 3.0)), ("push", (0.0, 3.0))],
+)
 def test_a_pulled_patch_that_grows_moves_its_rim_and_keeps_its_centre(kind, by):
     place = 20.0, 20.0
     mark = {
@@ -387,14 +390,10 @@ def test_a_pulled_patch_that_grows_moves_its_rim_and_keeps_its_centre(kind, by):
 
 
 @given(st.lists(marks, max_size=5))
+@settings(max_examples=30)
 def test_a_drawing_survives_storage_as_json(made):
     drawing = Drawing(tuple(made))
     assert Drawing.from_dict(json.loads(json.dumps(drawing.as_dict()))) == drawing
-
-
-def test_earlier_versions_can_read_a_stored_pull_without_growth():
-    pulls = Arrow((1, 1), (2, 2), 3.0), Landmark((1, 1), (2, 2), 3.0)
-    assert not any("amount" in mark for mark in Drawing(pulls).as_dict()["marks"])
 
 
 @pytest.mark.parametrize(

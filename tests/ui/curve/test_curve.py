@@ -20,6 +20,7 @@ from napari_hmrf.tissue.drawing import Arrow, Drawing
 from napari_hmrf.tissue.material_presets import PRESETS
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.curve.editor import CurveEditor
+from tests.support.docks import quick
 from tests.support.screen import Cell
 
 CURVE = StiffnessCurve(((50, 10), (100, 20), (200, 40)), void_below=20, unit="kPa")
@@ -350,6 +351,13 @@ def test_each_image_has_its_own_curve(widget, wait_for):
     assert [each.name for each in viewer.layers] == ["MR", "MR stiffness (relative)", "CT"]
     widget.image = other
     assert widget.curve == CURVE
+
+
+def test_a_closed_dock_leaves_no_stiffness_layer(frame):
+    closed = quick(frame.open())
+    viewer, _, _ = show_stiffness(closed)
+    frame.close(closed)
+    assert stiffness_layer(viewer) is None
 
 
 def test_tissue_from_intensity_is_deformed(widget, run, wait_for):

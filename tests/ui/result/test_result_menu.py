@@ -298,6 +298,10 @@ def test_the_menu_saves_the_field_in_each_direction(result, set_save_path, wait_
     assert dock.status == f"Saved forth{ending}: the forward field, which moves points."
     read = read_field(path).displacement
     np.testing.assert_allclose(read, solution.displacement, atol=1e-5)
+    set_save_path(tmp_path / "forth.h5")
+    screen.entry("More", "Export warp (forward)").trigger()
+    wait_for(lambda: not dock.busy)
+    assert dock.status.startswith("forth.h5: this format does not store the direction")
 
 
 def test_a_failure_to_save_is_reported_in_a_plain_sentence(
@@ -319,14 +323,15 @@ def test_a_failure_to_save_is_reported_in_a_plain_sentence(
 
 def test_the_menu_saves_a_film(result, set_save_path, wait_for, tmp_path, monkeypatch):
     dock, _ = result()
-    set_save_path(tmp_path / "gel.gif")
-    Screen(dock).entry("More", "Save as film").trigger()
+    set_save_path(tmp_path / "gel")
+    Screen(dock).entry("More", "Save looping GIF ...").trigger()
     wait_for(lambda: not dock.busy)
     assert dock.status == "Saved gel.gif."
     with Picture.open(tmp_path / "gel.gif") as film:
-        assert film.n_frames > 10
+        assert (film.n_frames > 10, film.info["loop"]) == (True, 0)
     monkeypatch.setitem(__import__("sys").modules, "imageio_ffmpeg", None)
-    dock.more.save_film(tmp_path / "gel.mp4")
+    set_save_path(tmp_path / "gel.mp4")
+    Screen(dock).entry("More", "Save as film").trigger()
     wait_for(lambda: not dock.busy)
     assert 'pip install ".[film]"' in dock.status
     assert not (tmp_path / "gel.mp4").exists()

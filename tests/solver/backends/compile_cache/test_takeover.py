@@ -135,6 +135,7 @@ for job in compiling.jobs():
 """
 
 
+@pytest.mark.campaign
 def test_the_announced_number_of_loops_is_about_right():
     done = subprocess.run(
         [sys.executable, "-c", COUNTING], capture_output=True, text=True, check=True

@@ -1,0 +1,91 @@
+"""Random images against exact solutions; ``make trust`` compares thousands."""
+
+import numpy as np
+import pytest
+import trust
+from random_problems import random_problem
+
+from napari_hmrf import Multigrid, solve
+from tests.support.opengl import require_opengl
+
+campaign = pytest.mark.campaign
+
+
+def test_random_problems_are_solved_on_the_cpu():
+    # Of the first hundred, some whose exact solution is quick, of each energy.
+    numbers = (1, 3, 7, 9, 10, 11, 12, 13, 21, 23, 82)
+    run = trust.campaign([(number, "cpu") for number in numbers])
+    assert len({verdict.reading for verdict in run.verdicts}) == 8
+    assert run.sound, trust.report(run)
+
+
+def test_random_problems_are_solved_by_shaders():
+    require_opengl()
+    run = trust.campaign([(number, "opengl") for number in range(6)])
+    assert run.sound, trust.report(run)
+
+
+@pytest.mark.parametrize(
+    "number",
+    [
+        pytest.param(3423, id="fibres with an eigenvalue ratio of 4e-14"),
+        pytest.param(4280, id="slipping blobs with an eigenvalue ratio of 9e-12", marks=campaign),
+        pytest.param(
+            1195,
+            id="stiff fibres with one observation, and none in one direction",
+            marks=campaign,
+        ),
+        pytest.param(1079, id="soft blobs that slip at a force below the rounding of stiff blobs"),
+        pytest.param(3527, id="tissue with displacements of 190,000 pixels"),
+        pytest.param(1510, id="centred: slipping of one site moves the rest by half a pixel"),
+        pytest.param(4194, id="centred: slipping of two rows of fibres"),
+        pytest.param(2015, id="a checkerboard of four pixels by thirteen"),
+        pytest.param(
+            2797, id="nearly incompressible layers with displacements of 26 pixels", marks=campaign
+        ),
+        pytest.param(3249, id="a slipping strip three pixels wide"),
+    ],
+)
+def test_the_most_difficult_known_problems_are_solved(number):
+    verdict = trust.judge(random_problem(0, number), "cpu")
+    assert verdict.outcome == "answered", verdict
+
+
+@campaign
+def test_an_interior_point_method_does_not_cycle():
+    verdict = trust.judge(random_problem(7001, 2400), "cpu")
+    assert verdict.outcome == "answered", verdict
+
+
+def test_residuals_of_rounding_size_do_not_cause_repeated_solves():
+    drawn = random_problem(0, 3527)
+    said = []
+    solve(
+        drawn.problem,
+        drawn.prior,
+        optimizer=Multigrid(drawn.tolerance),
+        backend="cpu",
+        progress=said.append,
+    )
+    solutions = [monitor for monitor in said if monitor.message.startswith("direct solve")]
+    assert 0 < len(solutions) < 30
+
+
+def test_intermediate_states_with_too_few_constraints_are_passed():
+    """Some intermediate states move tissue by 367,727 px, where no residual meets the tolerance."""
+    assert trust.judge(random_problem(301, 1482), "cpu").outcome == "answered"
+
+
+@campaign
+def test_slipping_tissue_is_solved_at_any_tolerance():
+    # Interior points that start at the end of the exchanges converge at some tolerances only.
+    drawn = random_problem(7, 546)
+    fields = [
+        solve(drawn.problem, drawn.prior, optimizer=Multigrid(tolerance), backend="cpu")
+        for tolerance in (1e-2, 1e-4)
+    ]
+    np.testing.assert_allclose(fields[0].displacement, fields[1].displacement, atol=1e-6)
+
+
+def test_an_interior_point_starts_with_sites_that_have_no_clique():
+    assert trust.judge(random_problem(403, 464), "cpu").outcome == "answered"
