@@ -44,7 +44,8 @@ def test_paint_and_typed_numbers_are_undone_in_reverse_order_and_reported(pointe
     assert (tissue.data == painted).all(), "the earlier paint was undone instead of the number"
     screen.press("Undo")
     assert (tissue.data == clean).all()
-    screen.press("Undo")
+    assert not screen.button("Undo").isEnabled()
+    person.key(Z, CTRL)
     assert dock.status == "There is nothing to undo."
     for _ in range(2):
         person.key(Z, CTRL | SHIFT)
