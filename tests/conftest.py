@@ -102,7 +102,8 @@ def pytest_testnodedown(node):
 
 def pytest_terminal_summary(terminalreporter):
     """Print how many docks and windows the tests opened."""
-    terminalreporter.write_line(summary())
+    for line in summary():
+        terminalreporter.write_line(line)
 
 
 def pytest_collection_modifyitems(items):

@@ -5,6 +5,8 @@ from functools import cache, wraps
 
 #: Docks and windows of this process; the process that prints also adds those of its workers.
 opened: Counter[str] = Counter()
+#: Beginning of the names under which discarded docks are counted.
+DISCARDED = "discarded: "
 #: Name under which a worker sends its numbers.
 KEY = "napari_hmrf_opened"
 
@@ -23,5 +25,7 @@ def count_new(kind, name):
 
 
 def summary():
-    """Return the sentence that is printed at the end of a run."""
-    return f"{opened['docks']} docks built, {opened['windows']} windows opened"
+    """Return the lines that are printed at the end of a run."""
+    lines = [f"{opened['docks']} docks built, {opened['windows']} windows opened"]
+    reasons = Counter({name: n for name, n in opened.items() if name.startswith(DISCARDED)})
+    return lines + [f"    {number} {name}" for name, number in reasons.most_common()]

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import types
-from collections import Counter, deque
+from collections import deque
 from weakref import WeakKeyDictionary, WeakSet, WeakValueDictionary
 
 from psygnal import SignalInstance
@@ -29,11 +29,9 @@ from qtpy.QtWidgets import (
 
 from napari_hmrf.layers.viewer_layers import _shared
 from napari_hmrf.solver.backends.thread import compute_thread
+from tests.support.opened import DISCARDED, opened
 from tests.support.timeouts import LONG
 from tests.support.windowless import Frame
-
-#: Number of shared docks that were discarded, by the first difference from a new dock.
-discarded: Counter[str] = Counter()
 
 _OURS = "napari_hmrf."
 _MAPPINGS = dict, WeakKeyDictionary, WeakValueDictionary
@@ -61,6 +59,7 @@ class SharedDock:
         if self._frame is None:
             self._frame = Frame()
             self._dock = self._frame.open() if self._is_framed else self._frame.open_loose()
+            self._dock._show_tool()  # hides the fields of all tools
             _settle()
             self._new = _State(self._frame.viewer, self._dock)
         self._is_lent, self._frame.ready = True, self._dock
@@ -73,7 +72,7 @@ class SharedDock:
         self._is_lent = False
         difference = "closed" if self._dock.away else self._clean()
         if difference:
-            discarded[difference] += 1
+            opened[f"{DISCARDED}{difference}"] += 1
             self.discard()
 
     def discard(self):
@@ -93,6 +92,7 @@ class SharedDock:
             new.restore_controls()
             self._frame.reset(dock)
             dock.fields.material.choices = []
+            dock._show_tool()
             for _ in range(2):  # an event may follow from the first restored value
                 _settle()
                 new.restore_controls()

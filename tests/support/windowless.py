@@ -23,6 +23,8 @@ from tests.support.timeouts import LONG_MS
 
 #: Screen pixels per image pixel, as in a window of the usual size.
 _ZOOM = 8.0
+#: Types of windows that a dock opens; Qt makes menus and lists, which are of other types.
+_WINDOWS = Qt.WindowType.Window, Qt.WindowType.Dialog, Qt.WindowType.Tool
 #: Names of napari for keys without a letter.
 _KEYS = {
     Qt.Key.Key_Delete: "Delete",
@@ -162,8 +164,13 @@ class Frame:
         dock.native.setParent(None)
 
     def reset(self, dock):
-        """Hide the frame, close all docks but one, and remove the layers of the viewer."""
+        """Hide the frame, close all windows and docks but one, and remove all layers."""
         self._around.hide()
+        for root in (self._around, dock.native):
+            for child in root.findChildren(QWidget):
+                if child.windowType() in _WINDOWS:
+                    child.close()
+                    child.deleteLater()
         for other in self._docks:
             if other is not dock and not other.away:
                 self.close(other)

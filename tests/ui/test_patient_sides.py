@@ -236,6 +236,7 @@ def test_a_slice_is_named_by_its_position_before_and_after_saving(
     viewer.add_image(data, **{**attributes, "name": "a/b: head"})
     viewer.dims.set_current_step(0, 17)
     wait_for(lambda: not first.busy)
+    first.stop()  # otherwise the status is a hint about the tool
     first.drawing = Drawing((Arrow(at=(12, 12), by=(0.0, -3.0), radius=2.0),))
     wait_for(lambda: first.solution is not None and not first.busy)
     made = "a/b: head deformed, elastic (S 5.5 mm)"

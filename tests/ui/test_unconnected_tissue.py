@@ -132,19 +132,19 @@ def paint(widget, wall=True, moves=True):
 def test_missing_motion_or_missing_constraints_are_reported(widget, run):
     paint(widget, moves=False)
     run(widget)
-    assert widget.status.startswith(STILL)
+    assert STILL in widget.status
     assert widget.warning.startswith("Nothing moves: mark tissue that moves")
     paint(widget)
     moved = widget.rules[1]
     widget.rules = (widget.rules[0], replace(moved, confidence=(0.0, 0.0)))
     run(widget)
-    assert widget.status.startswith(STILL)
+    assert STILL in widget.status
     assert "Nothing moves: mark tissue that moves" in widget.warning
     widget.rules = (widget.rules[0], moved)
     widget.tissue.data[8:13, 11:16] = 0
     widget.tissue.refresh()
     run(widget)
-    assert widget.status.startswith(STILL)
+    assert STILL in widget.status
     assert "9 boundary pixels outside tissue were ignored. Nothing moves" in widget.warning
     paint(widget, wall=False)
     run(widget)
