@@ -59,7 +59,6 @@ class SharedDock:
         if self._frame is None:
             self._frame = Frame()
             self._dock = self._frame.open() if self._is_framed else self._frame.open_loose()
-            self._dock._show_tool()  # hides the fields of all tools
             _settle()
             self._new = _State(self._frame.viewer, self._dock)
         self._is_lent, self._frame.ready = True, self._dock
@@ -92,11 +91,11 @@ class SharedDock:
             new.restore_controls()
             self._frame.reset(dock)
             dock.fields.material.choices = []
-            dock._show_tool()
             for _ in range(2):  # an event may follow from the first restored value
                 _settle()
                 new.restore_controls()
                 new.restore_attributes()
+                dock.fields.show_for(dock.fields._tool)
             dock.show_message("")
             return new.difference()
         except Exception as error:  # noqa: BLE001 - a test may leave the dock in any state
