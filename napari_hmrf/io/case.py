@@ -76,13 +76,14 @@ def read_case(case: Case) -> Study:
     whole = read_image(case.image)
     _refuse_unused(case, whole.ndim == 2)
     image, place = _part(whole, case)
+    image.refuse_as_grid(case.image.name)
     grid = _grid(image, whole, case)
     labels = None if case.labels is None else _pixels(case, case.labels, whole, labels=True)
     scale = 1.0
     if case.maps:
         labels, scale = _most_likely(case, whole)
     materials, unit, notes = _materials(case.materials, labels)
-    notes = (*notes, *filter(None, [scale_in_words(scale)]))
+    notes = (*notes, *filter(None, [scale_in_words(scale), image.note_on_unit]))
     motion = replace(
         _motion(case, grid, place, whole),
         hold_edge=case.hold_edge,
@@ -256,7 +257,10 @@ def _grid(part: ImageFile, whole: ImageFile, case: Case) -> Grid:
         unit, place = "pixel", Place((1.0,) * 3, (0.0,) * 3, np.eye(3))
     frame = place.frame(number, unit)
     if n == 3:
-        frame = replace(frame, plane=(0, 1, 2))
+        order = whole.upright_order
+        frame = replace(
+            frame, plane=(0, 1, 2), file_axes=() if order == (0, 1, 2) else tuple(order)
+        )
     return Grid(shape, place.spacing[-n:], unit, frame)
 
 
@@ -337,6 +341,11 @@ def labels_of(image: ImageFile, path: Path) -> npt.NDArray[Any]:
 
 def as_labels(pixels: npt.NDArray[Any], path: Path) -> npt.NDArray[Any]:
     """Return pixels as labels; whole numbers that are stored as floats are converted."""
+    largest = pixels.max(initial=0)
+    if largest > np.iinfo(np.int32).max:
+        raise ProblemError(
+            path.name, f"contains the label {largest:.0f}. Use labels below 2147483648."
+        )
     is_mask = pixels.dtype.kind == "b"
     if is_mask or (pixels.dtype.kind == "f" and (pixels == np.rint(pixels)).all()):
         pixels = pixels.astype(np.int32)
@@ -418,6 +427,8 @@ def _landmarks(case: Case, path: Path, grid: Grid, whole: ImageFile) -> Drawing:
             "contains landmarks without target positions. Give pairs of landmarks, as written by "
             "BigWarp.",
         )
+    if not file.unit:
+        whole.refuse_lengths(case.image.name, path.name)
     _, place = _part(whole, case)
     # BigWarp's coordinates refer to the axes in the file, before they are reordered by `upright`.
     file_place = whole.place if n == 3 else place

@@ -514,6 +514,8 @@ def _in_pixels(
 ) -> Float64Array:
     """Convert points of a landmark file to pixels of an image, as `read_case` lays it out."""
     whole = read_image(image)
+    if not file.unit:
+        whole.refuse_lengths(image.name, name)
     place = place_for(file, whole.place, name, n)
     at = place.to_pixels(points)
     upright = whole.upright

@@ -20,6 +20,7 @@ from napari_hmrf.layers.field_layer import field_layer, field_of, holds_field
 from napari_hmrf.layers.label_colours import boundary_colours
 from napari_hmrf.layers.metadata import (
     BOUNDARY,
+    FILE_AXES,
     IMAGE,
     METADATA,
     TISSUE,
@@ -379,6 +380,8 @@ def study_layers(study: Study) -> dict[str, Any]:
         """Create the layer of a part, with its name in the study or the default `name`."""
         name = study.names.get(part, name)
         known = layer_metadata(**what)[METADATA] if what else {}
+        if frame.file_axes:
+            known = {**known, FILE_AXES: frame.file_axes}
         layers[part] = Layer.create(*layer_on(frame, data, name, known, look, sort))
 
     if pictures.image is not None:
