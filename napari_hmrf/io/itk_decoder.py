@@ -36,9 +36,12 @@ _OFF = 0.1
 _TURNED = 1e-3
 #: DICOM keys of the position of a slice, and of its rescale slope and intercept.
 _POSITION, _RESCALE = "0020|0032", ("0028|1053", "0028|1052")
-#: The position of a frame in a file of several frames, with explicit or implicit type, and the tag
-#: that precedes the pixels.
-_FRAME_POSITION = re.compile(rb"\x20\x00\x32\x00(?:DS..|.\x00\x00\x00)([-+.0-9eE \\]+)", re.DOTALL)
+#: Positions, directions and number of frames in a file of several frames, with explicit or implicit
+#: types, and the tag that precedes the pixels. SimpleITK does not give the positions.
+_FRAME_POSITIONS, _FRAME_DIRECTIONS, _FRAME_COUNT = (
+    re.compile(rb"%b\x00(?:[DI]S..|.\x00\x00\x00)([-+.0-9eE \\]+)" % tag, re.DOTALL)
+    for tag in (rb"\x20\x00\x32", rb"\x20\x00\x37", rb"\x28\x00\x08")
+)
 _PIXELS = b"\xe0\x7f\x10\x00"
 #: Time without a request after which the process exits, in seconds.
 _IDLE = 60.0
@@ -143,6 +146,8 @@ class Decoder:
 
     def _checked_reader(self, source: Path) -> Any:
         """Return a reader for an image, after checking that the file can contain its pixels."""
+        if source.suffix.lower() == ".dcm":
+            _check_frames(source)
         reader = self._sitk.ImageFileReader()
         reader.SetFileName(str(source))
         reader.ReadImageInformation()
@@ -153,8 +158,6 @@ class Decoder:
         expansion = 1 if source.suffix.lower() == ".nii" else MOST_PACKED
         if math.prod(reader.GetSize()) * pixel_size > largest * expansion:
             raise Refused("it contains fewer pixels than its header states")
-        if source.suffix.lower() == ".dcm" and math.prod(reader.GetSize()[2:]) > 1:
-            _check_frames(source, reader)
         return reader
 
     def _field_of(self, source: Path) -> Any:
@@ -312,16 +315,21 @@ def check_regular(
         )
 
 
-def _check_frames(source: Path, reader: Any) -> None:
+def _check_frames(source: Path) -> None:
     """Raise an error if the frames of a DICOM file are not in the order of their positions."""
     header = source.read_bytes().partition(_PIXELS)[0]
-    texts = _FRAME_POSITION.findall(header)
-    if len(texts) != math.prod(reader.GetSize()[2:]):
-        return  # a film, or a volume with one position
-    positions = [tuple(map(float, text.split(b"\\"))) for text in texts]
-    direction = reader.GetDirection()
-    # The third axis of ITK can be that of the first two frames, reversed or not.
-    normal = _cross(direction[0::3], direction[1::3])
+    try:
+        positions, directions, counts = (
+            [[*map(float, text.split(b"\\"))] for text in found.findall(header)]
+            for found in (_FRAME_POSITIONS, _FRAME_DIRECTIONS, _FRAME_COUNT)
+        )
+    except ValueError:
+        return  # the bytes have another meaning
+    across = directions[0] if directions else [1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+    is_volume = len(positions) > 1 and [len(positions)] in counts
+    if not is_volume or len(across) != 6 or any(len(at) != 3 for at in positions):
+        return
+    normal = _cross(across[:3], across[3:])
     depths = [_dot(normal, at) for at in positions]
     if depths not in (sorted(depths), sorted(depths, reverse=True)):
         raise Refused(
@@ -329,7 +337,7 @@ def _check_frames(source: Path, reader: Any) -> None:
             "which sorts them"
         )
     names = [f"frame {number}" for number in range(1, len(positions) + 1)]
-    check_regular(positions, normal, reader.GetSpacing(), names)
+    check_regular(positions, normal, (1.0, 1.0), names)
 
 
 def _listed(names: list[str]) -> str:
