@@ -107,7 +107,7 @@ def test_slicer_coordinates_in_ras_are_converted(tmp_path):
             "Pt-0,true,1,2,3,4,-1\n",
             r"a\.csv: landmark 1 has a negative standard deviation",
         ),
-        ("a.csv", "Pt-0,true,1,2,nan,4\n", r"it contains NaN or infinite values"),
+        ("a.csv", "Pt-0,true,1,2,nan,4\n", r"has the coordinate 'nan'"),
         ("a.mrk.json", "{", r"it is damaged, or has another format"),
         ("a.mrk.json", '{"markups": [{}, {}]}', r"it contains 2 lists of points"),
         ("a.fcsv", "# CoordinateSystem = IJK\n1,2,3,4\n", r"its points are in 'IJK'"),
