@@ -188,8 +188,7 @@ def _read_scans(path: PathOrPaths) -> list[LayerData]:
         if is_field_file(each):
             layers.append(_field(each))
             continue
-        whole = read_image(each)
-        image, order = whole.upright, whole.upright_order
+        image = read_image(each).upright
         metadata = layer_metadata(IMAGE)
         attributes = {
             "name": Path(each).name.partition(".")[0],
@@ -198,8 +197,8 @@ def _read_scans(path: PathOrPaths) -> list[LayerData]:
         }
         if image.place is not None:
             attributes |= image.place.frame().placement()
-        if image is not whole:
-            metadata[METADATA][FILE_AXES] = order
+        if image.order:
+            metadata[METADATA][FILE_AXES] = image.order
         layers.append((image.pixels_in_place, attributes, "image"))
     return layers
 

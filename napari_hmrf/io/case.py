@@ -20,7 +20,7 @@ from napari_hmrf.field.warp import has_volume_loops
 from napari_hmrf.io.apply import place_for, read_field_file
 from napari_hmrf.io.case_options import Case, energy_of, notes_on_ratio, weight_of
 from napari_hmrf.io.fields import Place, place_of
-from napari_hmrf.io.images import ImageFile, read_image, write_image
+from napari_hmrf.io.images import ImageFile, read_image, shape_of, write_image
 from napari_hmrf.io.landmark_files import POINT_SUFFIXES, read_points
 from napari_hmrf.io.overwriting import refuse_overwriting
 from napari_hmrf.io.segmentation_tables import tissue_table
@@ -32,6 +32,7 @@ from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import Progress
+from napari_hmrf.solver.volume_memory import STUDY, require_memory
 from napari_hmrf.study.ground import Ground, solve_statement
 from napari_hmrf.study.shortcomings import shortcomings
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
@@ -73,6 +74,8 @@ def read_case(case: Case) -> Study:
                 f"{', '.join(case.options)}, or give an image."
             )
         return read_study(case.image).study
+    if case.slice is None:
+        require_memory(shape_of(case.image), STUDY, case.image.name)
     whole = read_image(case.image)
     _refuse_unused(case, whole.ndim == 2)
     image, place = _part(whole, case)
@@ -209,6 +212,8 @@ def solve_case(
     except ProblemError as error:  # omit the name of the image: the cause is a missing option
         raise HmrfError(error.message) from None
     folder.mkdir(parents=True, exist_ok=True)  # before the solve, so that errors occur early
+    notes = (*ground.unused(stated), *ground.notes_on(stated))
+    del ground  # its images need as much memory as the problem
     solution = solve_statement(study, stated, backend=backend, progress=progress)
     folds = solution.count_folds()
     caveats = tuple(shortcomings(solution, study.grid.unit, folds, stated.problem))
@@ -223,18 +228,17 @@ def solve_case(
         file = ImageFile(moved, place, colours=moved.ndim > len(study.grid.shape))
         write_image(folder / f"{name} deformed{'.nrrd' if place else '.tif'}", file)
     write_study(folder / f"{name}.study", study, solution)
-    notes = (*ground.unused(stated), *ground.notes_on(stated))
     notes = (*caveats, *drift_clauses(solution), *notes)
     return SolvedCase(study, solution, folds, notes)
 
 
 def _part(image: ImageFile, case: Case) -> tuple[ImageFile, Place | None]:
-    """Return the selected slice, or the whole volume with reordered axes, and its place."""
+    """Return the selected slice or the whole volume, with reordered axes, and its place."""
     place, number = image.place, case.slice
     if image.ndim == 2:
         return image, place
     if number is None:
-        return image.upright, image.upright.place
+        return image.laid_out, image.laid_out.place
     count = len(image.pixels)
     if not 0 <= number < count:
         raise ProblemError(
@@ -256,11 +260,9 @@ def _grid(part: ImageFile, whole: ImageFile, case: Case) -> Grid:
     if place is None:
         unit, place = "pixel", Place((1.0,) * 3, (0.0,) * 3, np.eye(3))
     frame = place.frame(number, unit)
+    frame = replace(frame, file_axes=part.order)
     if n == 3:
-        order = whole.upright_order
-        frame = replace(
-            frame, plane=(0, 1, 2), file_axes=() if order == (0, 1, 2) else tuple(order)
-        )
+        frame = replace(frame, plane=(0, 1, 2))
     return Grid(shape, place.spacing[-n:], unit, frame)
 
 
@@ -312,7 +314,7 @@ def _on_pixels(case: Case, path: Path, whole: ImageFile, image: ImageFile) -> np
         If the image has colours, or differs in size or place from the image of the case.
     """
     reference, place = _part(whole, case)
-    if reference.ndim == 3 and image.place is None:
+    if image.ndim == 3 and image.place is None and case.slice is None:
         image = image._replace(place=whole.place)
     image, at = _part(image, replace(case, image=path))
     pixels, shape = image.pixels, reference.pixels.shape[: reference.ndim]
@@ -431,10 +433,11 @@ def _landmarks(case: Case, path: Path, grid: Grid, whole: ImageFile) -> Drawing:
         whole.refuse_lengths(case.image.name, path.name)
     _, place = _part(whole, case)
     # BigWarp's coordinates refer to the axes in the file, before they are reordered by `upright`.
-    file_place = whole.place if n == 3 else place
+    is_whole = whole.ndim == 3 and case.slice is None
+    file_place = whole.place if is_whole else place
     point_place = place_for(file, file_place, path.name, n)
     ends = [point_place.to_pixels(points) for points in (file.points, file.targets)]
-    if file_place is not None and place is not None and n == 3:
+    if file_place is not None and place is not None and is_whole:
         ends = [place.to_pixels(file_place.to_space(at)) for at in ends]
     if point_place is not file_place and n == 2 and case.slice is not None:
         ends = [

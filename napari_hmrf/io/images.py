@@ -21,7 +21,14 @@ from napari_hmrf.arguments import checked_path
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.io.fields import Place, require_right_angles
-from napari_hmrf.io.itk_files import ItkImage, Unreadable, encode, read_itk_image, read_itk_series
+from napari_hmrf.io.itk_files import (
+    ItkImage,
+    Unreadable,
+    encode,
+    itk_shape,
+    read_itk_image,
+    read_itk_series,
+)
 from napari_hmrf.regular_file import refuse_irregular
 from napari_hmrf.solver.problem import grid_in_words
 
@@ -55,6 +62,8 @@ class ImageFile(NamedTuple):
         Size of a pixel along each axis in the unit `unit`, as programs for microscopy store it in
         .tif files. Lengths in such images are in pixels all the same.
     unit : str
+    order : tuple of int
+        Axis of the file for each axis of the volume, if its axes were reordered.
     """
 
     pixels: npt.NDArray[Any]
@@ -63,6 +72,7 @@ class ImageFile(NamedTuple):
     stack: str = ""
     calibration: tuple[float, ...] = ()
     unit: str = ""
+    order: tuple[int, ...] = ()
 
     @property
     def pixels_in_place(self) -> npt.NDArray[Any]:
@@ -77,21 +87,26 @@ class ImageFile(NamedTuple):
         Scanners acquire slices in any orientation, but napari shows slices perpendicular to world
         axes.
         """
-        order = self.upright_order
-        return self if order == (0, 1, 2) else self.reordered(order)
-
-    @property
-    def upright_order(self) -> tuple[int, ...]:
-        """Axis of the file for each axis of `upright`."""
         place = self.place
         if place is None or len(place.spacing) != 3:
-            return (0, 1, 2)
+            return self
         turn = place.direction[::-1, ::-1]
 
         def nearness(order: tuple[int, ...]) -> float:
             return sum(abs(float(turn[world, axis])) for world, axis in enumerate(order))
 
-        return max(permutations(range(3)), key=nearness)
+        order = max(permutations(range(3)), key=nearness)
+        return self if order == (0, 1, 2) else self.reordered(order)
+
+    @property
+    def laid_out(self) -> ImageFile:
+        """Image as it is solved: upright, or the only slice of a volume along any axis."""
+        shape = self.pixels.shape
+        if self.ndim != 3 or self.place is None or 1 not in shape[:3]:
+            return self.upright
+        across = shape.index(1)
+        image = self.reordered((across, *(axis for axis in range(3) if axis != across)))
+        return image._replace(pixels=image.pixels[0])
 
     def reordered(self, order: tuple[int, ...]) -> ImageFile:
         """Return a view of a volume with its axes reordered; the volume must have a place."""
@@ -106,6 +121,7 @@ class ImageFile(NamedTuple):
                 turn[:, list(order)][::-1, ::-1],
             ),
             self.colours,
+            order=() if order == (0, 1, 2) else order,
         )
 
     def laid_as(self, place: Place | None) -> ImageFile:
@@ -289,6 +305,24 @@ def read_image(path: str | os.PathLike[str]) -> ImageFile:
             f"{source.name}: the file contains a displacement field. Give an image instead."
         )
     return ImageFile(pixels[0] if n == 3 and len(pixels) == 1 else pixels, place, count > 1)
+
+
+def shape_of(path: str | os.PathLike[str]) -> tuple[int, ...]:
+    """Return the shape of a volume in a medical image file, from its header alone.
+
+    Returns
+    -------
+    tuple of int
+        Shape (D, H, W); () for other files, and for files that `read_image` refuses.
+    """
+    source = Path(checked_path(path))
+    if source.is_dir() or not source.name.lower().endswith(MEDICAL_SUFFIXES):
+        return ()
+    try:
+        shape = itk_shape(source)
+    except (Unreadable, HmrfError, OSError):
+        return ()
+    return shape if len(shape) == 3 and shape[0] > 1 else ()
 
 
 def _unreadable(source: Path, reason: str = "") -> FileFormatError:

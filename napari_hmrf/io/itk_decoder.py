@@ -109,6 +109,7 @@ class Decoder:
                 metadata[key] = image.GetMetaData(key)
         return {
             "components": components or image.GetNumberOfComponentsPerPixel(),
+            "size": image.GetSize(),
             "spacing": image.GetSpacing(),
             "origin": image.GetOrigin(),
             "direction": image.GetDirection(),

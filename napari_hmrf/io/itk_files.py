@@ -111,6 +111,18 @@ def read_itk_image(source: Path) -> ItkImage:
     return image
 
 
+def itk_shape(source: Path) -> tuple[int, ...]:
+    """Return the number of pixels along each axis, ([z,] y, x), from the header of an image.
+
+    Raises
+    ------
+    Unreadable, HmrfError, OSError
+        As for `read_itk_image`.
+    """
+    _check_openable(source)
+    return tuple(_decode(source, "head").header["size"][::-1])
+
+
 def read_itk_series(folder: Path) -> ItkImage:
     """Read the only series in a folder of DICOM files.
 

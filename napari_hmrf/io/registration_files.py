@@ -25,7 +25,7 @@ from napari_hmrf.io.apply import place_for
 from napari_hmrf.io.case import read_case
 from napari_hmrf.io.case_options import Case
 from napari_hmrf.io.fields import place_of, write_mapping
-from napari_hmrf.io.images import ImageFile, read_image, write_image
+from napari_hmrf.io.images import ImageFile, read_image, shape_of, write_image
 from napari_hmrf.io.itk_files import has_simpleitk
 from napari_hmrf.io.landmark_files import LandmarkFile, read_points
 from napari_hmrf.io.overwriting import refuse_overwriting
@@ -38,6 +38,7 @@ from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import Progress
 from napari_hmrf.solver.uncertain_landmarks import Landmarks
+from napari_hmrf.solver.volume_memory import REGISTRATION, require_memory
 from napari_hmrf.study.ground import Ground, solve_statement
 from napari_hmrf.study.study import Grid, Study, Tissue
 from napari_hmrf.tissue.drawing import Drawing
@@ -273,6 +274,7 @@ class _Pair:
         for path in (case.fixed, case.moving):
             if is_study_file(path):
                 raise HmrfError(f"{path.name} is a study. Give an image.")
+            require_memory(shape_of(path), REGISTRATION, path.name)
         study = read_case(
             Case(case.fixed, labels=case.labels, materials=case.materials, maps=case.maps)
         )
@@ -518,9 +520,9 @@ def _in_pixels(
         whole.refuse_lengths(image.name, name)
     place = place_for(file, whole.place, name, n)
     at = place.to_pixels(points)
-    upright = whole.upright
-    if n == 3 and whole.place is not None and upright.place is not None:
-        at = upright.place.to_pixels(whole.place.to_space(at))
+    laid_out = whole.laid_out
+    if whole.ndim == 3 and whole.place is not None and laid_out.place is not None:
+        at = laid_out.place.to_pixels(whole.place.to_space(at))
     return at[:, -n:]
 
 

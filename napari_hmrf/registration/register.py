@@ -21,6 +21,7 @@ from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.problem import Problem, as_numbers, as_stiffness, checked_spacing
 from napari_hmrf.solver.solve import CancelFlag, Progress
 from napari_hmrf.solver.uncertain_landmarks import Landmarks, typical_stiffness
+from napari_hmrf.solver.volume_memory import REGISTRATION, require_memory
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -111,6 +112,8 @@ def register(
     >>> np.round(found.displacement[32, 32]).tolist()
     [0.0, 3.0]
     """
+    if np.shape(fixed)[-1:] not in ((3,), (4,)):  # no colours
+        require_memory(np.shape(fixed), REGISTRATION, "fixed")
     first, second = _as_grey("fixed", fixed), _as_grey("moving", moving)
     axes = first.ndim
     if second.ndim != axes:

@@ -30,6 +30,7 @@ from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, solve
 from napari_hmrf.solver.uncertain_landmarks import typical_stiffness
 from napari_hmrf.solver.unconnected import left_at_rest, scraps
+from napari_hmrf.solver.volume_memory import STUDY, require_memory
 from napari_hmrf.study.landmark_data import (
     landmark_caveats,
     landmark_data,
@@ -169,6 +170,8 @@ class Ground:
         """
         _check_study(study)
         _refuse_other_axes(study)
+        _refuse_thin(study)
+        require_memory(study.grid.shape, STUDY, study.named("image", "tissue"))
         refuse_unknown(study)
         image = study.pictures.image
         if image is not None and image.dtype.kind == "f" and not np.isfinite(image).any():
@@ -610,6 +613,7 @@ def solve_study(
         stated = ground.statement()
         ground.refuse_motionless(stated)
         notes = (*ground.unused(stated), *ground.notes_on(stated))
+        del ground  # its images need as much memory as the problem
     require_kind(Statement, "stated", stated, "build_problem(study)")
     if stated.study is None or not stated.study.same_as(study):
         raise ArgumentError(
@@ -685,6 +689,18 @@ def _refuse_other_axes(study: Study) -> None:
                 f"has {axes}. Pass positions as "
                 f"{'(row, col)' if axes == 2 else '(plane, row, col)'}.",
             )
+
+
+def _refuse_thin(study: Study) -> None:
+    """Raise an error for a volume of one slice, in which elastic tissue has no elements."""
+    shape = study.grid.shape
+    if len(shape) == 3 and 1 in shape and isinstance(study.prior, Elastic):
+        across = shape.index(1)
+        raise ProblemError(
+            study.named("image", "tissue"),
+            f"is a volume with one voxel along axis {across}. Pass the slice as an image, for "
+            f"example data.squeeze({across}) on Grid.from_image(image, slice=0, axis={across}).",
+        )
 
 
 def _tissue_of(study: Study) -> Ground:

@@ -16,6 +16,7 @@ import tifffile
 from napari_hmrf import FileFormatError, Grid, ProblemError
 from napari_hmrf.contributions import open_scan
 from napari_hmrf.fields import read_field
+from napari_hmrf.io import case
 from napari_hmrf.io.apply import FieldFile, apply_field
 from napari_hmrf.io.case import as_labels, read_case
 from napari_hmrf.io.case_options import Case
@@ -383,3 +384,39 @@ def test_many_labels_moved_as_an_image_cause_a_note(tmp_path):
     field = FieldFile.of(solution_of(np.zeros((20, 40, 2), np.float32)))
     applied = apply_field(field, tmp_path / "atlas.tif", tmp_path / "moved.tif", labels=False)
     assert "100 whole numbers" in applied.note
+
+
+@pytest.mark.parametrize("across", [0, 1, 2])
+def test_a_volume_of_one_slice_is_solved_as_this_slice(tmp_path, across):
+    """Scanners and programs store a slice as 1 x N x M, N x 1 x M or N x M x 1."""
+    pixels = np.arange(np.prod(SHAPE), dtype=np.float32).reshape(SHAPE)
+    image = sitk.GetImageFromArray(pixels.take([1], axis=across))
+    image.SetSpacing((1, 1, 2))
+    image.SetOrigin((3, 4, 5))
+    sitk.WriteImage(image, str(tmp_path / "slice.nii.gz"))
+    at, to = np.array([2.0, 2.0, 2.0]), np.array([3.0, 3.0, 4.0])  # x, y, z from the first voxel
+    at[2 - across] = to[2 - across] = 0
+    (tmp_path / "marks.csv").write_text(f"a,true,{','.join(map(str, [*at, *to]))}\n")
+    study = read_case(Case(tmp_path / "slice.nii.gz", boundary=tmp_path / "marks.csv"))
+    np.testing.assert_array_equal(study.pictures.image, pixels.take(1, axis=across))
+    (mark,) = study.motion.drawing.marks
+    sizes = np.array((2, 1, 1))
+    for stored, solved in ((at, mark.source), (to, mark.target)):
+        np.testing.assert_allclose(np.delete(stored[::-1] / sizes, across), solved, atol=1e-4)
+        world = np.array(study.grid.place.matrix) @ [0, *solved, 1]
+        np.testing.assert_allclose(world[:3], np.add(stored[::-1], (5, 4, 3)), atol=1e-4)
+
+
+def test_a_file_beyond_the_memory_is_refused_from_its_header(tmp_path, monkeypatch):
+    sitk.WriteImage(sitk.GetImageFromArray(np.ones(SHAPE, np.uint8)), str(tmp_path / "a.nii.gz"))
+    shapes = []
+
+    def refuse(shape, *_):
+        shapes.append(shape)
+        raise ProblemError("a.nii.gz", "is too large.")
+
+    monkeypatch.setattr(case, "require_memory", refuse)
+    monkeypatch.setattr(case, "read_image", None)
+    with pytest.raises(ProblemError):
+        read_case(Case(tmp_path / "a.nii.gz"))
+    assert shapes == [SHAPE]
