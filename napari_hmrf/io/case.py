@@ -37,9 +37,7 @@ from napari_hmrf.study.ground import Ground, solve_statement
 from napari_hmrf.study.shortcomings import shortcomings
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import (
-    BoundaryRule,
     Material,
-    unlisted,
 )
 from napari_hmrf.tissue.cavity import Cavity
 from napari_hmrf.tissue.drawing import Drawing
@@ -47,8 +45,6 @@ from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.tissue_maps import MapRange, most_likely, scale_in_words, scale_of
 from napari_hmrf.tissue.usual_lengths import largest_spread, usual_radius
 
-#: Largest number of labels listed in a message.
-_LISTED = 6
 #: Number of distinct values, and share of pixels that differ from the next pixel in the row, above
 #: which an image is not accepted as labels. The share is 40 % to 90 % in photographs, and at most
 #: 10 % in label images.
@@ -374,7 +370,6 @@ def _motion(case: Case, grid: Grid, place: Place | None, whole: ImageFile) -> Mo
     if case.rules is not None:
         labels = _pixels(case, path, whole, labels=True)
         rules, n = read_rules(case.rules), len(grid.shape)
-        _refuse_unruled(labels, rules, path.name, case.rules.name)
         if any(len(rule.vector) > n for rule in rules):
             raise ProblemError(
                 case.rules.name, "has a column 'plane', but the case is a slice. Remove the column."
@@ -394,21 +389,6 @@ def _motion(case: Case, grid: Grid, place: Place | None, whole: ImageFile) -> Mo
     except ProblemError as error:
         raise ProblemError(path.name, error.message) from None
     return Motion(observed=on_grid.displacement, confidence=np.where(on_grid.known, confidence, 0))
-
-
-def _refuse_unruled(
-    labels: npt.NDArray[Any], rules: Sequence[BoundaryRule], image: str, table: str
-) -> None:
-    """Raise an error if a label in the image, except 0, has no rule."""
-    missing = [label for label in unlisted(labels, rules) if label]
-    if missing:
-        listed = ", ".join(map(str, missing[:_LISTED]))
-        more = f" and {len(missing) - _LISTED} more" if len(missing) > _LISTED else ""
-        lines = "a line" if len(missing) == 1 else "lines"
-        raise FileFormatError(
-            f"{table}: there is no rule for label {listed}{more}, which is used in {image}. Add "
-            f"{lines} such as {missing[0]},fixed, or set these pixels to 0."
-        )
 
 
 def _confidence_of(case: Case, whole: ImageFile) -> npt.NDArray[Any]:

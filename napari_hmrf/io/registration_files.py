@@ -194,7 +194,7 @@ def register_files(
     report(Monitor("solving the study", _REGISTERED))
     study = _study_of(case, pair, found, marks)
     solution = solve_statement(study, Ground.of(study).statement())
-    notes = [*pair.notes, *_notes_on(found, solution)]
+    notes = [*pair.notes, *_notes_on(found, solution, pair, marks)]
     report(Monitor("writing the results", 1.0))
     write_study(folder / names.study, study, solution)
     notes += _write_images(folder, names, pair, found)
@@ -548,16 +548,26 @@ def _study_of(
     return replace(pair.study, motion=motion, prior=found.prior, names=names)
 
 
-def _notes_on(found: Registration, solution: Solution) -> list[str]:
+def _notes_on(
+    found: Registration, solution: Solution, pair: _Pair, marks: Landmarks | None
+) -> list[str]:
     """Return notes on folds, and on the difference between the study and the registration."""
     notes = []
     if found.folds:
         notes.append(f"the tissue folds over itself at {found.folds} sites")
     difference = np.abs(found.displacement - solution.displacement) / np.asarray(solution.spacing)
     if (apart := float(difference[solution.tissue].max(initial=0))) > _APART:
+        reason = ""
+        if np.isinf(pair.stiffness).any():
+            reason = ", because rigid tissue turns exactly in the registration only"
+        elif marks is not None:
+            reason = (
+                ": where the images contradict a landmark, the study follows the landmark more. "
+                "Check the landmarks, or give them a larger --landmark-sd"
+            )
         notes.append(
-            f"the field of the study differs from the registered field by up to {apart:.2g} px, "
-            "because rigid tissue turns exactly in the registration only"
+            f"the field of the study differs from the registered field by up to {apart:.2g} px"
+            f"{reason}"
         )
     return notes
 

@@ -183,17 +183,28 @@ def registered(
     matrix, moving_spacing
         As in a `Registration`.
     """
-    found = match(
-        problem,
-        prior,
-        images,
-        unit=unit,
-        smoothness=smoothness,
-        start=start,
-        progress=progress,
-        cancel=cancel,
-        show=show,
-    )
+    try:
+        found = match(
+            problem,
+            prior,
+            images,
+            unit=unit,
+            smoothness=smoothness,
+            start=start,
+            progress=progress,
+            cancel=cancel,
+            show=show,
+        )
+    except ProblemError as error:
+        if error.field == "confidence":  # no pixel counts on a level
+            raise _nothing_in_common("fixed") from None
+        if error.field != "precision":
+            raise
+        raise ProblemError(
+            "smoothness",
+            f"is {smoothness:g}, so small that tissue has no stiffness beside the images. Pass a "
+            "larger number; 1 is usual.",
+        ) from None
     return Registration(
         solution=found.solution,
         matrix=matrix,
@@ -345,14 +356,20 @@ def _counted(masks: Any, fixed: FloatArray, moving: FloatArray) -> tuple[BoolArr
     return counted[0], counted[1]
 
 
+def _nothing_in_common(name: str) -> ProblemError:
+    return ProblemError(
+        name,
+        "and the other image have no pixels in common, or too few, after the alignment. Check the "
+        "positions of both images, the alignment and the masks.",
+    )
+
+
 def check_contrast(images: Images) -> None:
     """Raise an error for an image without structure, which cannot be registered."""
     pairs = zip(("fixed", "moving"), (images.fixed, images.moving), images.counted, strict=True)
     for name, image, mask in pairs:
         if not mask.any():
-            raise ProblemError(
-                name, "and the other image have no common pixels after the alignment. Check it."
-            )
+            raise _nothing_in_common(name)
         if np.ptp(image[mask]) == 0:
             raise ProblemError(
                 name, "has the same brightness everywhere. Choose an image that shows structure."

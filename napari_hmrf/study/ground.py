@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from itertools import compress
@@ -50,7 +50,6 @@ from napari_hmrf.tissue.boundary_rules import (
     Material,
     boundary_images,
     default_material,
-    default_rule,
     poisson_image,
     sliding_parts,
     stiffness_image,
@@ -67,6 +66,9 @@ from napari_hmrf.tissue.surroundings import air_that_is_tissue, dark_border
 #: Stiffness of the subject and of its dark surroundings if there is no tissue map. The surroundings
 #: are too soft to impede motion, but because they are tissue, they still constrain the subject.
 _TISSUE, _SURROUNDINGS = 1.0, 0.01
+
+#: Largest number of labels listed in a message.
+_LISTED = 6
 
 _OVER = (
     "the drawing moves tissue that is painted as held, and takes precedence at overlaps; "
@@ -183,7 +185,7 @@ class Ground:
         base, tissue, notes = ground.base, ground.stiffness > 0, [*ground.notes]
         checkpoint()
         notes += filter(None, [_unknown_pixels(study)])
-        notes += _observe(study, base)
+        _observe(study, base)
         ignored = int(((base.confidence > 0).any(axis=-1) & ~tissue).sum())
         if ignored:
             pixels = "1 boundary pixel" if ignored == 1 else f"{ignored} boundary pixels"
@@ -710,7 +712,13 @@ def _tissue_of(study: Study) -> Ground:
     labels, around = np.full(shape, OTHER, dtype=np.int32), np.zeros(shape, dtype=bool)
     if tissue.labels is not None:
         known, name = tissue.materials, study.named("tissue", "image")
-        new = [default_material(label, known) for label in unlisted(tissue.labels, known)]
+        missing = unlisted(tissue.labels, known)
+        if known and missing:
+            example = f"{missing[0]},tissue,20"
+            raise _unlisted(
+                study, "tissue", missing, "material", f"label,name,stiffness: {example}"
+            )
+        new = [default_material(label, known) for label in missing]
         notes += [
             f"label {row.label} of '{name}' is not in the table: stiffness {row.stiffness:g} is "
             "assumed"
@@ -770,25 +778,34 @@ def _unknown_pixels(study: Study) -> str:
     return "" if image is None else unknown_values(image, len(study.grid.shape), name)
 
 
-def _observe(study: Study, base: Canvas) -> list[str]:
-    """Write the boundary conditions of a study to a blank canvas; return notes about them."""
-    motion, notes = study.motion, []
+def _unlisted(study: Study, part: str, labels: Sequence[int], what: str, row: str) -> LayerError:
+    """Return the error for labels without a row in the table of a part."""
+    listed = ", ".join(map(str, labels[:_LISTED]))
+    more = f" and {len(labels) - _LISTED} more" if len(labels) > _LISTED else ""
+    plural = "s" * (len(labels) > 1)
+    return LayerError(
+        study.named(part, "image") if part == "tissue" else study.named(part),
+        f"has no {what} for label{plural} {listed}{more}. Add a line to its table, such as {row}; "
+        "or set these pixels to another label.",
+    )
+
+
+def _observe(study: Study, base: Canvas) -> None:
+    """Write the boundary conditions of a study to a blank canvas."""
+    motion = study.motion
     if motion.observed is not None and motion.confidence is not None:
         c, by_component = motion.confidence, motion.confidence.ndim > len(base.shape)
         base.confidence[...] = c if by_component else c[..., None]
         base.observed[...] = np.where(base.confidence != 0, motion.observed, 0)
     if motion.labels is not None:
-        new = [label for label in unlisted(motion.labels, motion.rules) if label != 0]
-        rules = [*motion.rules, *map(default_rule, new)]
-        notes = [
-            f"label {label} of '{study.named('boundary')}' is not in the table and was held fixed"
-            for label in new
-        ]
+        missing = [label for label in unlisted(motion.labels, motion.rules) if label != 0]
+        if missing:
+            raise _unlisted(study, "boundary", missing, "rule", f"label,action: {missing[0]},fixed")
         with study.naming(drawn=False):
-            y, c = boundary_images(motion.labels, rules, spacing=base.spacing)
+            y, c = boundary_images(motion.labels, motion.rules, spacing=base.spacing)
         painted = motion.labels != 0
         base.observed[painted], base.confidence[painted] = y[painted], c[painted]
-        for rule in rules:
+        for rule in motion.rules:
             under = motion.labels == rule.label
             if rule.action == "slide":
                 base.slides[under], base.observed[under, 0] = True, rule.amount
@@ -796,4 +813,3 @@ def _observe(study: Study, base: Canvas) -> list[str]:
                 base.removed[under] = True
     with study.naming(drawn=False):
         check_reach(base.observed, base.spacing)
-    return notes

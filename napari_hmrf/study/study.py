@@ -227,8 +227,8 @@ class Tissue:
     Attributes
     ----------
     labels : ndarray of int, shape ([D,] H, W), optional
-        Labels of the tissues; whole numbers stored as floats are converted to integers. A label
-        without a row in `materials` gets a default material.
+        Labels of the tissues; whole numbers stored as floats are converted to integers. Each
+        label has a row in `materials`; without materials, all labels are equally stiff.
     materials : tuple of Material
         Materials of the labels.
     stiffness : ndarray, shape ([D,] H, W), optional
@@ -360,8 +360,7 @@ class Motion:
         If True, fix the outer edge of the tissue: tissue next to void or to the dark surroundings,
         and tissue at the edge of the image. The edges of holes remain free.
     labels : ndarray of int, shape ([D,] H, W), optional
-        Painted boundary labels. Each label has a row in `rules`; tissue under a label without a row
-        is fixed.
+        Painted boundary labels. Each label except 0 has a row in `rules`.
     rules : tuple of BoundaryRule
         Rules of the labels.
     observed : ndarray, shape ([D,] H, W, n), optional

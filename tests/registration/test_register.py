@@ -237,6 +237,37 @@ def test_progress_never_decreases_and_cancel_stops(pair):
 
 
 ONE = np.ones((16, 16))
+
+
+def test_tissue_in_a_black_background_is_registered():
+    """The tails of a window underflow in black, where they are no observation."""
+    shape = (64, 64)
+    radius = np.hypot(*(np.indices(shape) - 31.5))
+    brain = np.where(radius < 12, texture(shape=shape) + 1, 0)
+    tails = ndimage.gaussian_filter(brain.astype(np.float32), 1.5, truncate=12)
+    image = np.where(brain > 0, brain, tails).astype(np.float32)
+    found = register(image, warp(image, bend(shape), spacing=1), spacing=1)
+    assert found.similarity > found.similarity_before
+
+
+@pytest.mark.parametrize("unit", [1e-30, 1e30])
+def test_the_unit_of_brightness_does_not_matter(pair, found, unit):
+    first, second = (np.float32(unit) * image.astype(np.float32) for image in pair[:2])
+    again = register(first, second, spacing=1)
+    np.testing.assert_allclose(again.displacement, found.displacement, atol=0.01)
+
+
+def test_a_smoothness_near_zero_and_images_apart_are_named(pair):
+    with pytest.raises(ProblemError) as refused:
+        register(*pair[:2], spacing=1, smoothness=1e-12)
+    assert refused.value.field == "smoothness"
+    corner = np.eye(3)
+    corner[:2, 2] = SIZE - 1.5
+    with pytest.raises(ProblemError) as refused:
+        register(*pair[:2], spacing=1, initial=corner)
+    assert refused.value.field == "fixed"
+
+
 INVALID = {
     "has 3 axes": ((ONE, np.ones((16, 16, 16))), {}),
     "same brightness everywhere": ((ONE, ONE), {}),
