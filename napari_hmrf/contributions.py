@@ -12,7 +12,7 @@ from napari.utils.notifications import show_info
 from napari_hmrf.errors import FileFormatError, HmrfError
 from napari_hmrf.io.apply import FieldFile, read_field_file, write_field_file
 from napari_hmrf.io.fields import FIELD_SUFFIXES, is_field_file
-from napari_hmrf.io.images import is_scan, read_image
+from napari_hmrf.io.images import is_scan, read_image, stem_of
 from napari_hmrf.io.landmark_files import is_landmark_file, read_points
 from napari_hmrf.io.study_file import is_study_file
 from napari_hmrf.layers.field_layer import field_layer
@@ -191,7 +191,7 @@ def _read_scans(path: PathOrPaths) -> list[LayerData]:
         image = read_image(each).upright
         metadata = layer_metadata(IMAGE)
         attributes = {
-            "name": Path(each).name.partition(".")[0],
+            "name": stem_of(each),
             "rgb": image.colours,
             "metadata": metadata,
         }
@@ -222,7 +222,7 @@ def open_landmarks(path: PathOrPaths) -> Callable[[PathOrPaths], list[LayerData]
 def _read_landmarks(path: PathOrPaths) -> list[LayerData]:
     layers: list[LayerData] = []
     for each in _listed(path):
-        file, name = read_points(each), Path(each).name.partition(".")[0]
+        file, name = read_points(each), stem_of(each)
         n = file.points.shape[1]
         place, axes = {"units": (file.unit,) * n}, [*range(n)]
         if not file.unit:
@@ -264,7 +264,7 @@ def _place_of_images(n: int) -> tuple[dict[str, Any], list[int]]:
 def _field(path: str) -> LayerData:
     """Return a layer with the forward or backward displacement field of a file, in pixels."""
     field, frame = read_field_file(path).in_pixels
-    return field_layer(field, frame.placement(), Path(path).name.partition(".")[0])
+    return field_layer(field, frame.placement(), stem_of(path))
 
 
 def _listed(path: PathOrPaths) -> list[str]:

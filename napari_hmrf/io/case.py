@@ -20,7 +20,7 @@ from napari_hmrf.field.warp import has_volume_loops
 from napari_hmrf.io.apply import place_for, read_field_file
 from napari_hmrf.io.case_options import Case, energy_of, notes_on_ratio, weight_of
 from napari_hmrf.io.fields import Place, place_of
-from napari_hmrf.io.images import ImageFile, read_image, shape_of, write_image
+from napari_hmrf.io.images import ImageFile, read_image, shape_of, stem_of, write_image
 from napari_hmrf.io.landmark_files import POINT_SUFFIXES, read_points
 from napari_hmrf.io.overwriting import refuse_overwriting
 from napari_hmrf.io.segmentation_tables import tissue_table
@@ -100,7 +100,7 @@ def read_case(case: Case) -> Study:
         motion,
         prior=prior,
         optimizer=optimizer,
-        pictures=Pictures(image.pixels, labels, case.image.name.partition(".")[0]),
+        pictures=Pictures(image.pixels, labels, stem_of(case.image)),
         names=_names(case),
         notes=notes,
     )
@@ -129,7 +129,7 @@ def _names(case: Case) -> dict[str, str]:
     tissue = case.labels or next(iter(case.maps), None)
     parts = {"tissue": tissue, "boundary": case.boundary, "confidence": confidence}
     files = {part: path.name for part, path in parts.items() if path is not None}
-    return {"image": case.image.name.partition(".")[0], **files}
+    return {"image": stem_of(case.image), **files}
 
 
 class SolvedCase(NamedTuple):
@@ -154,7 +154,7 @@ class SolvedCase(NamedTuple):
 
 def _files_of(case: Case, folder: Path) -> tuple[Path, ...]:
     """Return the paths of all files that `solve_case` may write to a folder."""
-    name = case.image.name.partition(".")[0]
+    name = stem_of(case.image)
     images = (f"{name} deformed.nrrd", f"{name} deformed.tif")
     return tuple(folder / each for each in (f"{name}.study", *images))
 
@@ -214,7 +214,7 @@ def solve_case(
     folds = solution.count_folds()
     caveats = tuple(shortcomings(solution, study.grid.unit, folds, stated.problem))
     solution = replace(solution, notes=(*caveats, *solution.notes))
-    name = case.image.name.partition(".")[0]
+    name = stem_of(case.image)
     image = study.pictures.image
     if image is not None:
         if progress is not None and len(study.grid.shape) == 3 and not has_volume_loops():

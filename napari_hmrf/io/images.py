@@ -42,6 +42,8 @@ _NO_SPACE, _OME_UNIT = {"C": "channels", "T": "times"}, "µm"
 PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
 #: Suffix of segmentations of 3D Slicer.
 _SEGMENTS = ".seg.nrrd"
+#: Suffixes of other files that have a name of their own.
+_OTHER_SUFFIXES = (".study", ".npz", ".csv", ".fcsv", ".mrk.json", ".h5", ".tfm", ".txt")
 #: Suffixes of medical images.
 MEDICAL_SUFFIXES = (".nii.gz", ".nii", ".mha", ".mhd", ".nrrd", ".nhdr", ".dcm")
 
@@ -335,6 +337,14 @@ def _unreadable(source: Path, reason: str = "") -> FileFormatError:
         f"{source.name}: cannot be read as an image: it is {reason}. Supported suffixes are "
         f"{kinds}."
     )
+
+
+def stem_of(path: str | os.PathLike[str]) -> str:
+    """Return the name of a file without the suffix of its format; other dots belong to the name."""
+    name = Path(path).name
+    kinds = (*PICTURE_SUFFIXES, *MEDICAL_SUFFIXES, _SEGMENTS, *_OTHER_SUFFIXES)
+    longest = max((len(each) for each in kinds if name.lower().endswith(each)), default=0)
+    return name[: len(name) - longest] or name
 
 
 def is_scan(path: str | os.PathLike[str]) -> bool:

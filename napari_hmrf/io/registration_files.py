@@ -25,7 +25,7 @@ from napari_hmrf.io.apply import place_for
 from napari_hmrf.io.case import read_case
 from napari_hmrf.io.case_options import Case
 from napari_hmrf.io.fields import place_of, write_mapping
-from napari_hmrf.io.images import ImageFile, read_image, shape_of, write_image
+from napari_hmrf.io.images import ImageFile, read_image, shape_of, stem_of, write_image
 from napari_hmrf.io.itk_files import has_simpleitk
 from napari_hmrf.io.landmark_files import LandmarkFile, read_points
 from napari_hmrf.io.overwriting import refuse_overwriting
@@ -221,7 +221,7 @@ class _Names(NamedTuple):
 
     @classmethod
     def of(cls, case: RegistrationCase) -> _Names:
-        fixed, moving = (path.name.partition(".")[0] for path in (case.fixed, case.moving))
+        fixed, moving = (stem_of(path) for path in (case.fixed, case.moving))
         return cls(
             f"{fixed}.study",
             f"{fixed} deformed",
@@ -533,7 +533,7 @@ def _study_of(
     measured = found.motion().measured
     assert measured is not None
     record = {
-        "second image": case.moving.name.partition(".")[0],
+        "second image": stem_of(case.moving),
         "alignment": case.alignment or "",
         "matrix": found.matrix.tolist(),
         "before": found.similarity_before,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from itertools import compress
@@ -66,9 +66,6 @@ from napari_hmrf.tissue.surroundings import air_that_is_tissue, dark_border
 #: Stiffness of the subject and of its dark surroundings if there is no tissue map. The surroundings
 #: are too soft to impede motion, but because they are tissue, they still constrain the subject.
 _TISSUE, _SURROUNDINGS = 1.0, 0.01
-
-#: Largest number of labels listed in a message.
-_LISTED = 6
 
 _OVER = (
     "the drawing moves tissue that is painted as held, and takes precedence at overlaps; "
@@ -712,12 +709,7 @@ def _tissue_of(study: Study) -> Ground:
     labels, around = np.full(shape, OTHER, dtype=np.int32), np.zeros(shape, dtype=bool)
     if tissue.labels is not None:
         known, name = tissue.materials, study.named("tissue", "image")
-        missing = unlisted(tissue.labels, known)
-        if known and missing:
-            example = f"{missing[0]},tissue,20"
-            raise _unlisted(
-                study, "tissue", missing, "material", f"label,name,stiffness: {example}"
-            )
+        missing = [] if known else unlisted(tissue.labels, known)
         new = [default_material(label, known) for label in missing]
         notes += [
             f"label {row.label} of '{name}' is not in the table: stiffness {row.stiffness:g} is "
@@ -778,18 +770,6 @@ def _unknown_pixels(study: Study) -> str:
     return "" if image is None else unknown_values(image, len(study.grid.shape), name)
 
 
-def _unlisted(study: Study, part: str, labels: Sequence[int], what: str, row: str) -> LayerError:
-    """Return the error for labels without a row in the table of a part."""
-    listed = ", ".join(map(str, labels[:_LISTED]))
-    more = f" and {len(labels) - _LISTED} more" if len(labels) > _LISTED else ""
-    plural = "s" * (len(labels) > 1)
-    return LayerError(
-        study.named(part, "image") if part == "tissue" else study.named(part),
-        f"has no {what} for label{plural} {listed}{more}. Add a line to its table, such as {row}; "
-        "or set these pixels to another label.",
-    )
-
-
 def _observe(study: Study, base: Canvas) -> None:
     """Write the boundary conditions of a study to a blank canvas."""
     motion = study.motion
@@ -798,9 +778,6 @@ def _observe(study: Study, base: Canvas) -> None:
         base.confidence[...] = c if by_component else c[..., None]
         base.observed[...] = np.where(base.confidence != 0, motion.observed, 0)
     if motion.labels is not None:
-        missing = [label for label in unlisted(motion.labels, motion.rules) if label != 0]
-        if missing:
-            raise _unlisted(study, "boundary", missing, "rule", f"label,action: {missing[0]},fixed")
         with study.naming(drawn=False):
             y, c = boundary_images(motion.labels, motion.rules, spacing=base.spacing)
         painted = motion.labels != 0
