@@ -37,7 +37,10 @@ from napari_hmrf.study.ground import Ground, solve_statement
 from napari_hmrf.study.shortcomings import shortcomings
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import (
+    UNPAINTED,
     Material,
+    default_material,
+    unlisted,
 )
 from napari_hmrf.tissue.cavity import Cavity
 from napari_hmrf.tissue.drawing import Drawing
@@ -273,8 +276,19 @@ def _materials(
         return table.materials, table.unit, ()
     present, unknown = set(np.unique(labels).tolist()), table.unknown
     named = ", ".join(f"{label} ({unknown[label]})" for label in unknown if label in present)
-    notes = (table.published(present), f"no stiffness is known for {named}" if named else "")
-    return table.materials, table.unit, tuple(f"{path.name}: {note}" for note in notes if note)
+    # Tables of names often lack the background.
+    others = {0: UNPAINTED} if 0 in unlisted(labels, table.materials) else {}
+    others |= {label: name for label, name in unknown.items() if label in present}
+    assumed = default_material(0, table.materials)
+    rows = [replace(assumed, label=label, name=name) for label, name in others.items()]
+    first = next((row.name for row in table.materials if row.is_deformable), "")
+    note = f"no stiffness is known for {named}: that of {first} is used" if named else ""
+    notes = table.published(present), note
+    return (
+        (*table.materials, *rows),
+        table.unit,
+        tuple(f"{path.name}: {note}" for note in notes if note),
+    )
 
 
 def _most_likely(case: Case, whole: ImageFile) -> tuple[npt.NDArray[np.integer], float]:
