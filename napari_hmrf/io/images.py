@@ -463,16 +463,19 @@ def _calibration(file: Any, image: ImageFile) -> dict[str, Any]:
         sizes = [stated.get(f"PhysicalSize{axis}") for axis in "ZYX"]
         units = {stated.get(f"PhysicalSize{axis}Unit", _OME_UNIT) for axis in "YX"}
         unit = " or ".join(sorted(units))
-    elif file.imagej_metadata and file.imagej_metadata.get("unit", "pixel") != "pixel":
+    elif file.imagej_metadata:
+        stated = file.imagej_metadata
+        unit = stated.get("unit", "").replace("\\u00B5", "µ") or "pixel"
         tags = file.pages[0].tags
-        along = (tags[f"{axis}Resolution"].value for axis in "YX" if f"{axis}Resolution" in tags)
-        sizes = [below / above for above, below in along if above]
-        sizes = [file.imagej_metadata.get("spacing", 1.0), *sizes]
-        unit = file.imagej_metadata["unit"].replace("\\u00B5", "µ")
+        names = [f"{axis}Resolution" for axis in "YX" if not unit.startswith("pixel")]
+        along = [tags[name].value for name in names if name in tags]
+        sizes = [below / above for above, below in along if above] or [1.0, 1.0]
+        sizes = [stated.get("spacing", 1.0), *sizes]
     else:
         return {}
     sizes = [*map(float, filter(None, sizes[-image.ndim :]))]
     is_known = len(sizes) == image.ndim and min(sizes) > 0
+    is_known = is_known and any(abs(size - 1) > _SQUARE for size in sizes)
     return {"calibration": tuple(sizes), "unit": unit} if is_known else {}
 
 

@@ -266,7 +266,7 @@ def write_tiff(path, axes, sizes=(), unit="um"):
     shape = {"Z": 4, "C": 3, "T": 3, "Y": 8, "X": 9}
     facts = {"axes": axes}
     if sizes:
-        facts |= {"unit": unit, "spacing": sizes[0]}
+        facts |= {"spacing": sizes[0]} | ({"unit": unit} if unit else {})
     resolution = {"resolution": (1 / sizes[-1], 1 / sizes[-2])} if sizes else {}
     pixels = np.ones([shape[axis] for axis in axes], np.uint16)
     tifffile.imwrite(path, pixels, imagej=True, metadata=facts, **resolution)
@@ -284,8 +284,9 @@ def test_channels_and_times_are_no_volume(tmp_path, axes):
     assert Grid.from_image(path, slice=1).shape == (8, 9)
 
 
-def test_a_stack_of_flat_voxels_without_a_place_is_refused(tmp_path):
-    path = write_tiff(tmp_path / "cells.tif", "ZYX", (2.5, 0.5, 0.5))
+@pytest.mark.parametrize(("sizes", "unit"), [((2.5, 0.5, 0.5), "um"), ((2.5, 1, 1), "")])
+def test_a_stack_of_flat_voxels_without_a_place_is_refused(tmp_path, sizes, unit):
+    path = write_tiff(tmp_path / "cells.tif", "ZYX", sizes, unit)
     with pytest.raises(ProblemError) as error:
         read_case(Case(path))
     assert error.value.field == "cells.tif"
