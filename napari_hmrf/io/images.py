@@ -104,7 +104,9 @@ class ImageFile(NamedTuple):
     def laid_out(self) -> ImageFile:
         """Image as it is solved: upright, or the only slice of a volume along any axis."""
         shape = self.pixels.shape
-        if self.ndim != 3 or self.place is None or 1 not in shape[:3]:
+        if self.ndim != 3:
+            return self
+        if self.place is None or 1 not in shape[:3]:
             return self.upright
         across = shape.index(1)
         image = self.reordered((across, *(axis for axis in range(3) if axis != across)))
