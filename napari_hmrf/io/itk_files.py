@@ -314,9 +314,9 @@ def _as_displacements(image: ItkImage, source: Path) -> ItkImage:
         positions = holds_positions(source)
     except ValueError as error:
         raise Unreadable(str(error)) from None
-    if positions is None or image.ndim != 3 or image.components != 3:
+    if positions is None or image.ndim != image.components:
         return image
-    vectors = image.pixels * np.array([-1.0, -1.0, 1.0])
+    vectors = image.pixels * np.array([-1.0, -1.0, 1.0])[: image.ndim]
     if positions:
         indices = np.moveaxis(np.indices(vectors.shape[:-1]), 0, -1)[..., ::-1]
         vectors -= (indices * image.spacing) @ image.direction.T + image.origin
