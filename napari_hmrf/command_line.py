@@ -45,8 +45,9 @@ class _Parser(argparse.ArgumentParser):
     @property
     def commands(self) -> dict[str, Any]:
         """Parsers of the subcommands, by name."""
-        parsers = (each for each in self._actions if isinstance(each.choices, dict))
-        return dict(next((each.choices for each in parsers), {}) or {})
+        return next(
+            (dict(each.choices) for each in self._actions if isinstance(each.choices, dict)), {}
+        )
 
     def error(self, message: str) -> NoReturn:
         choice = _CHOICE.match(message)
