@@ -32,7 +32,7 @@ from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import Progress
-from napari_hmrf.solver.volume_memory import STUDY, require_memory
+from napari_hmrf.solver.volume_memory import STUDY, WARP, make_room, require_memory
 from napari_hmrf.study.ground import Ground, solve_statement
 from napari_hmrf.study.shortcomings import shortcomings
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
@@ -222,6 +222,7 @@ def solve_case(
     if image is not None:
         if progress is not None and len(study.grid.shape) == 3 and not has_volume_loops():
             progress(Monitor("compiling the loops that move volumes, once per machine", 0.9))
+        make_room(study.grid.shape, WARP)
         moved = solution.warp(image)
         place = None if study.grid.unit == "pixel" else place_of(solution)
         file = ImageFile(moved, place, colours=moved.ndim > len(study.grid.shape))

@@ -9,7 +9,7 @@ import pytest
 from napari_hmrf import Grid, Motion, Pictures, ProblemError, Study, Tissue, solve_study
 from napari_hmrf.registration import register
 from napari_hmrf.solver import volume_memory
-from napari_hmrf.solver.volume_memory import STUDY, require_memory
+from napari_hmrf.solver.volume_memory import STUDY, WARP, make_room, require_memory
 from napari_hmrf.study.ground import Ground
 
 HUGE = (20000, 20000, 20000)
@@ -55,6 +55,15 @@ def test_the_memory_of_the_study_before_counts_as_free(monkeypatch):
     assert error.value.field == "scan.nii"
     monkeypatch.setattr(volume_memory, "_used", lambda: 100 * STUDY)
     require_memory((4, 5, 5), STUDY)
+
+
+def test_caches_of_a_solve_make_room_for_the_moved_image(monkeypatch):
+    cleared = []
+    monkeypatch.setattr(volume_memory.volume_caches, "clear_all", lambda: cleared.append(1))
+    make_room((10, 10, 10), WARP)
+    assert not cleared
+    make_room(HUGE, WARP)
+    assert cleared
 
 
 @pytest.mark.skipif(not hasattr(volume_memory, "resource"), reason="the system has no limits")
