@@ -294,7 +294,8 @@ def _note_on_labels(pixels: Pixels, name: str) -> str:
     values = np.unique(pixels)
     if values[0] < 0 or values[-1] <= 1:
         return ""
-    one, other = pixels[..., 1:], pixels[..., :-1]
+    lines = pixels.squeeze()
+    one, other = lines[..., 1:], lines[..., :-1]
     inside = (one != 0) & (other != 0)
     differ = float((one != other)[inside].mean()) if inside.any() else 0.0
     if len(values) > _MOST_LABELS and differ > _UNEVEN:

@@ -17,7 +17,7 @@ from napari_hmrf import FileFormatError, Grid, ProblemError
 from napari_hmrf.contributions import open_scan
 from napari_hmrf.fields import read_field
 from napari_hmrf.io import case
-from napari_hmrf.io.apply import FieldFile, apply_field
+from napari_hmrf.io.apply import FieldFile, _note_on_labels, apply_field
 from napari_hmrf.io.case import as_labels, read_case
 from napari_hmrf.io.case_options import Case
 from napari_hmrf.io.images import is_scan, read_image
@@ -385,6 +385,8 @@ def test_many_labels_moved_as_an_image_cause_a_note(tmp_path):
     field = FieldFile.of(solution_of(np.zeros((20, 40, 2), np.float32)))
     applied = apply_field(field, tmp_path / "atlas.tif", tmp_path / "moved.tif", labels=False)
     assert "100 whole numbers" in applied.note
+    scan = np.random.default_rng(0).integers(0, 900, (20, 40, 1)).astype(np.int16)
+    assert not _note_on_labels(scan, "scan.nii")
 
 
 @pytest.mark.parametrize("across", [0, 1, 2])
