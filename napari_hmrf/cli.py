@@ -320,9 +320,11 @@ def _register(options: argparse.Namespace) -> int:
     report = found.report
     folds = "1 fold" if report["folds"] == 1 else f"{report['folds']} folds"
     sd = "" if report["sd"] is None else f", sd {report['sd']:g} {report['unit']}"
+    before, after = report["similarity_before"], report["similarity_after"]
+    digits = 2 if f"{before:.2f}" != f"{after:.2f}" else 4
     print(
-        f"registered: similarity {report['similarity_before']:.2f} before and "
-        f"{report['similarity_after']:.2f} after{sd}, {folds}, {report['seconds']:.1f} s"
+        f"registered: similarity {before:.{digits}f} before and {after:.{digits}f} after{sd}, "
+        f"{folds}, {report['seconds']:.1f} s"
     )
     for note in found.notes:
         _note(note)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import re
 from pathlib import Path
-from typing import get_args
+from typing import Any, NoReturn, get_args
 
 import napari_hmrf
+from napari_hmrf.arguments import did_you_mean
 from napari_hmrf.io.option_types import (
     count_option,
     energy_option,
@@ -22,6 +24,37 @@ from napari_hmrf.solver.backends import BACKEND_NAMES
 from napari_hmrf.solver.model_names import MODELS, as_word
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE, Plane
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
+
+#: Message of argparse about an unknown word: the argument, the word, and the known words.
+_CHOICE = re.compile(r"(.*?)invalid choice: '?([^' ]*)'? \(choose from (.*)\)$", re.DOTALL)
+
+
+class _Parser(argparse.ArgumentParser):
+    """Parser whose errors are one sentence, with a suggestion for a misspelt word."""
+
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        options, rest = self.parse_known_args(args, namespace)
+        if rest:
+            parser = self.commands.get(options.command, self)
+            wrong = next((word for word in rest if word.startswith("-")), rest[0])
+            known = [*parser._option_string_actions]
+            hint = did_you_mean(wrong.partition("=")[0], known) if wrong.startswith("-") else ""
+            parser.error(f"unrecognized argument {wrong}.{hint}")
+        return options
+
+    @property
+    def commands(self) -> dict[str, Any]:
+        """Parsers of the subcommands, by name."""
+        return next(
+            (dict(each.choices) for each in self._actions if isinstance(each.choices, dict)), {}
+        )
+
+    def error(self, message: str) -> NoReturn:
+        choice = _CHOICE.match(message)
+        if choice is not None:
+            hint = did_you_mean(choice[2], re.findall(r"[\w.-]+", choice[3]))
+            message = f"{choice[1]}there is no {choice[2]!r}.{hint} Choose from {choice[3]}."
+        self.exit(2, f"{self.prog}: error: {message}\nSee {self.prog} --help for all options.\n")
 
 
 class Commands:
@@ -70,7 +103,7 @@ class _Formatter(argparse.HelpFormatter):
 
 def parser_of_commands() -> argparse.ArgumentParser:
     """Return the parser for all commands, which stores the command's name as `command`."""
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="napari-hmrf",
         description="Compute the deformation of soft tissue on the pixel grid of an image.",
         epilog="napari-hmrf COMMAND --help describes a command and shows an example.",

@@ -12,13 +12,21 @@ from napari.utils.notifications import show_info
 from napari_hmrf.errors import FileFormatError, HmrfError
 from napari_hmrf.io.apply import FieldFile, read_field_file, write_field_file
 from napari_hmrf.io.fields import FIELD_SUFFIXES, is_field_file
-from napari_hmrf.io.images import is_scan, read_image
+from napari_hmrf.io.images import is_scan, read_image, stem_of
 from napari_hmrf.io.landmark_files import is_landmark_file, read_points
 from napari_hmrf.io.study_file import is_study_file
 from napari_hmrf.layers.field_layer import field_layer
 from napari_hmrf.layers.label_colours import boundary_colours
 from napari_hmrf.layers.landmarks import SD_FEATURE
-from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, METADATA, TISSUE, layer_metadata
+from napari_hmrf.layers.metadata import (
+    BOUNDARY,
+    FILE_AXES,
+    IMAGE,
+    METADATA,
+    TISSUE,
+    file_axes_of,
+    layer_metadata,
+)
 from napari_hmrf.layers.result_layers import result_layers
 from napari_hmrf.samples.chest import chest_phantom
 from napari_hmrf.samples.head import GROWTH, SAMPLE_SIZE, head_phantom
@@ -181,13 +189,16 @@ def _read_scans(path: PathOrPaths) -> list[LayerData]:
             layers.append(_field(each))
             continue
         image = read_image(each).upright
+        metadata = layer_metadata(IMAGE)
         attributes = {
-            "name": Path(each).name.partition(".")[0],
+            "name": stem_of(each),
             "rgb": image.colours,
-            "metadata": layer_metadata(IMAGE),
+            "metadata": metadata,
         }
         if image.place is not None:
             attributes |= image.place.frame().placement()
+        if image.order:
+            metadata[METADATA][FILE_AXES] = image.order
         layers.append((image.pixels_in_place, attributes, "image"))
     return layers
 
@@ -211,32 +222,49 @@ def open_landmarks(path: PathOrPaths) -> Callable[[PathOrPaths], list[LayerData]
 def _read_landmarks(path: PathOrPaths) -> list[LayerData]:
     layers: list[LayerData] = []
     for each in _listed(path):
-        file, name = read_points(each), Path(each).name.partition(".")[0]
+        file, name = read_points(each), stem_of(each)
         n = file.points.shape[1]
-        place = {"units": (file.unit,) * n if file.unit else _units_of_images(n)}
-        layers.append((file.points, {"name": name, **place}, "points"))
+        place, axes = {"units": (file.unit,) * n}, [*range(n)]
+        if not file.unit:
+            place, axes = _place_of_images(n)
+        layers.append((file.points[:, axes], {"name": name, **place}, "points"))
         if file.targets is not None:
             spreads = {} if file.sd is None else {"features": {SD_FEATURE: file.sd}}
             name = f"{name}, should be"
-            layers.append((file.targets, {"name": name, **place, **spreads}, "points"))
+            layers.append((file.targets[:, axes], {"name": name, **place, **spreads}, "points"))
     return layers
 
 
-def _units_of_images(n: int) -> tuple[str, ...]:
-    """Return the units of the last `n` axes of the topmost image, or "pixel" if there is none.
+def _place_of_images(n: int) -> tuple[dict[str, Any], list[int]]:
+    """Return where points with `n` coordinates lie in the topmost image, and their axes in it.
 
-    BigWarp stores landmarks in the unit of the image, but not the unit itself.
+    BigWarp stores landmarks in the unit of the image, from its first voxel and along the axes of
+    its file, but it stores neither the unit nor the position of the image.
+
+    Returns
+    -------
+    place : dict
+        Keyword arguments of a layer.
+    axes : list of int
+        Axis of the points for each axis of the layer.
     """
     viewer = napari.current_viewer()
     images = [] if viewer is None else [each for each in viewer.layers if each.ndim >= n]
-    known = [each.units for each in images if isinstance(each, napari.layers.Image)]
-    return tuple(map(str, known[-1][-n:])) if known else ("pixel",) * n
+    known = [each for each in images if isinstance(each, napari.layers.Image)]
+    if not known:
+        return {"units": ("pixel",) * n}, [*range(n)]
+    image = known[-1]
+    place: dict[str, Any] = {"units": tuple(map(str, image.units[-n:]))}
+    if image.ndim == n:
+        names = ("translate", "rotate", "shear", "affine")
+        place |= {name: getattr(image, name) for name in names}
+    return place, [*(file_axes_of(image) if image.ndim == n else ())] or [*range(n)]
 
 
 def _field(path: str) -> LayerData:
     """Return a layer with the forward or backward displacement field of a file, in pixels."""
     field, frame = read_field_file(path).in_pixels
-    return field_layer(field, frame.placement(), Path(path).name.partition(".")[0])
+    return field_layer(field, frame.placement(), stem_of(path))
 
 
 def _listed(path: PathOrPaths) -> list[str]:

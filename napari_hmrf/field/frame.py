@@ -48,6 +48,9 @@ class Frame:
         Attributes of the layer, as in napari.
     matrix : nested tuple of float, shape (D + 1, D + 1)
         Homogeneous transform from pixels of the layer to the world.
+    file_axes : tuple of int
+        Axis of the image file for each axis of the layer; () if a reader has not reordered them.
+        Used only for landmarks that are stored along the axes of the file.
     sliders : tuple of (float, float)
         Start and step of the viewer's slider for each axis, in world units; empty without a
         viewer. Used only for the displayed number of the slice.
@@ -63,6 +66,7 @@ class Frame:
     units: tuple[str, ...]
     axis_labels: tuple[str, ...]
     matrix: Matrix
+    file_axes: tuple[int, ...] = field(default=(), compare=False)
     sliders: tuple[tuple[float, float], ...] = field(default=(), compare=False)
 
     # `TypeAdapter` applies this configuration when it validates the content of a file.
@@ -397,7 +401,8 @@ class Frame:
     def as_dict(self) -> dict[str, Any]:
         """Return the frame as a dictionary of JSON types, as in `Solution.frame`."""
         values = asdict(self)
-        return {name: values[name] for name in _STORED}
+        more = {"file_axes": self.file_axes} if self.file_axes else {}
+        return {name: values[name] for name in _STORED} | more
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Frame:
@@ -410,6 +415,7 @@ class Frame:
         """
         try:
             given = {name: values[name] for name in _STORED}
+            given["file_axes"] = values.get("file_axes", ())
             frame = _PLACES.validate_python(given)
             frame._check()
         except KeyError as error:
@@ -430,6 +436,8 @@ class Frame:
             raise ValueError(f"its plane {plane} is invalid for {ndim} axes")
         if not all(abs(at) < _FARTHEST for at in self.index):
             raise ValueError(f"its index {self.index} is out of range")
+        if sorted(self.file_axes) not in ([], [*range(ndim)]):
+            raise ValueError(f"its file axes {self.file_axes} are not those of {ndim} axes")
         square = np.ndim(self.shear) == 2
         for name, size in {
             **dict.fromkeys(("scale", "translate", "units", "axis_labels"), (ndim,)),

@@ -77,6 +77,21 @@ def has_same_spacing(
     )
 
 
+@lru_cache(maxsize=64)
+def is_length(unit: str) -> bool:
+    """Return whether a unit is one of length, or unknown."""
+    common = ("millimeter", "mm", "micrometer", "um", *UNKNOWN_UNITS)
+    return unit in common or unit_factor(unit, "millimeter") > 0
+
+
+@lru_cache(maxsize=64)
+def may_be_stiffness(unit: str) -> bool:
+    """Return whether a unit is one of stiffness, or none that is known, such as "relative"."""
+    if unit in ("", "Pa", "kPa", "MPa") or not is_unit(unit):
+        return True
+    return unit_factor(unit, "kPa") > 0 or unit_factor(unit, "dimensionless") > 0
+
+
 def is_unit(unit: str) -> bool:
     """Return whether napari layers accept a unit with this name."""
     if not _UNIT.fullmatch(unit):

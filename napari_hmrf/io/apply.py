@@ -41,8 +41,9 @@ _NO_PLACE = (
     " Its image has no position in world coordinates, so the field is at the origin, and its "
     "spacing is assumed to be in mm."
 )
-#: Largest number of distinct values, and largest value, of an image that may contain labels.
-_MOST_LABELS, _LARGEST_LABEL = 16, 99
+#: An image may contain labels if it has at most so many distinct values, or if at most this share
+#: of the pixels with a value differ from the next pixel.
+_MOST_LABELS, _UNEVEN = 64, 0.3
 #: Largest distance between a point and the centre of its slice, in slices.
 _IN_SLICE = 0.5 + 1e-3
 
@@ -74,6 +75,10 @@ class FieldFile:
         Mask of removed tissue, which moved images do not show; None if no tissue is removed.
     parts : ndarray of int or None
         Label of the sliding part of each site; None if all tissue is connected.
+    file_axes : tuple of int
+        Axis of the image file for each axis of `place`.
+    number : int
+        Index of a slice along the first axis of `place`.
     """
 
     field: DisplacementField
@@ -83,16 +88,31 @@ class FieldFile:
     is_placed: bool = True
     removed: npt.NDArray[np.bool_] | None = None
     parts: npt.NDArray[np.int32] | None = None
+    file_axes: tuple[int, ...] = (0, 1, 2)
+    number: int = 0
 
     @classmethod
     def of(cls, solution: Solution) -> FieldFile:
         """Return the displacement field of a solution, with the place of its image."""
         d, place = placed(solution)
         sizes = place.spacing[-solution.tissue.ndim :]
-        unit = "pixel" if Frame.of_solution(solution).unit == "pixel" else "millimeter"
-        field = DisplacementField(d, sizes)
-        is_placed, removed = bool(solution.frame), solution.removed
-        return cls(field, place, solution.tissue, unit, is_placed, removed, solution.parts)
+        frame = Frame.of_solution(solution)
+        unit = "pixel" if frame.unit == "pixel" else "millimeter"
+        across = frame.others[-1:] if len(frame.plane) == 2 else ()
+        axes = (*across, *frame.plane)
+        return cls(
+            DisplacementField(d, sizes),
+            place,
+            solution.tissue,
+            unit,
+            bool(solution.frame),
+            solution.removed,
+            solution.parts,
+            tuple(frame.file_axes[axis] if frame.file_axes else axis for axis in axes)
+            if frame.ndim == 3
+            else (0, 1, 2),
+            frame.index[across[0]] if across else 0,
+        )
 
     @property
     def in_patient(self) -> Place | None:
@@ -262,15 +282,27 @@ def apply_field(
 
 
 def _note_on_labels(pixels: Pixels, name: str) -> str:
-    """Return a warning if an interpolated image probably contains labels, and "" otherwise."""
-    if pixels.dtype.kind not in "iu" or not 1 < pixels.max(initial=0) <= _LARGEST_LABEL:
+    """Return a warning if an interpolated image probably contains labels, and "" otherwise.
+
+    Labels are whole numbers; there are few of them, or most pixels have that of the next pixel.
+    """
+    kind = pixels.dtype.kind
+    if not pixels.size or not (
+        kind in "iu" or (kind == "f" and np.array_equal(pixels, pixels // 1))
+    ):
         return ""
     values = np.unique(pixels)
-    if len(values) > _MOST_LABELS or values[0] < 0:
+    if values[0] < 0 or values[-1] <= 1:
+        return ""
+    lines = pixels.squeeze()
+    one, other = lines[..., 1:], lines[..., :-1]
+    inside = (one != 0) & (other != 0)
+    differ = float((one != other)[inside].mean()) if inside.any() else 0.0
+    if len(values) > _MOST_LABELS and differ > _UNEVEN:
         return ""
     return (
-        f"{name} contains only a few whole numbers, up to {values[-1]}, and was interpolated; if "
-        "the numbers are labels, use --labels"
+        f"{name} contains only {len(values)} whole numbers, up to {values[-1]:.0f}, and was "
+        "interpolated; if the numbers are labels, use --labels"
     )
 
 
@@ -353,8 +385,14 @@ def _move_landmarks(
     field: FieldFile, path: str | os.PathLike[str], target: str | os.PathLike[str]
 ) -> Applied:
     file, name, n = read_points(path), Path(path).name, len(field.shape)
-    place = place_for(file, field.place, name, n)
-    at = place.to_pixels(file.points)
+    place, points = place_for(file, field.place, name, n), file.points
+    # Coordinates from the first voxel of a volume are along the axes of its file.
+    from_first = file.unit != "mm" and points.shape[1] == 3
+    if from_first:
+        points = points[:, field.file_axes]
+    at = place.to_pixels(points)
+    if from_first and n == 2:
+        at[:, 0] -= field.number
     # Points in other slices are unchanged, like the other slices of an image.
     in_slice = np.abs(at[:, :-n]).max(axis=1, initial=0.0) <= _IN_SLICE
     beyond = (at[:, -n:] < -0.5) | (at[:, -n:] > np.array(field.shape) - 0.5)
@@ -368,7 +406,11 @@ def _move_landmarks(
         notes.append(
             f"{outside} of {len(at)} points are outside the image, so they were moved like its edge"
         )
+    if from_first and n == 2:
+        at[:, 0] += field.number
     moved = place.to_space(at)
+    if from_first:
+        moved = moved[:, np.argsort(field.file_axes)]
     written = write_points(target, moved, file.targets, names=file.names, sd=file.sd)
     return Applied(written, "; ".join(notes))
 

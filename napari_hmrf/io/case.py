@@ -20,7 +20,7 @@ from napari_hmrf.field.warp import has_volume_loops
 from napari_hmrf.io.apply import place_for, read_field_file
 from napari_hmrf.io.case_options import Case, energy_of, notes_on_ratio, weight_of
 from napari_hmrf.io.fields import Place, place_of
-from napari_hmrf.io.images import ImageFile, read_image, write_image
+from napari_hmrf.io.images import ImageFile, read_image, shape_of, stem_of, write_image
 from napari_hmrf.io.landmark_files import POINT_SUFFIXES, read_points
 from napari_hmrf.io.overwriting import refuse_overwriting
 from napari_hmrf.io.segmentation_tables import tissue_table
@@ -32,12 +32,14 @@ from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import Progress
+from napari_hmrf.solver.volume_memory import STUDY, WARP, make_room, require_memory
 from napari_hmrf.study.ground import Ground, solve_statement
 from napari_hmrf.study.shortcomings import shortcomings
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import (
-    BoundaryRule,
+    UNPAINTED,
     Material,
+    default_material,
     unlisted,
 )
 from napari_hmrf.tissue.cavity import Cavity
@@ -46,8 +48,6 @@ from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.tissue_maps import MapRange, most_likely, scale_in_words, scale_of
 from napari_hmrf.tissue.usual_lengths import largest_spread, usual_radius
 
-#: Largest number of labels listed in a message.
-_LISTED = 6
 #: Number of distinct values, and share of pixels that differ from the next pixel in the row, above
 #: which an image is not accepted as labels. The share is 40 % to 90 % in photographs, and at most
 #: 10 % in label images.
@@ -73,16 +73,19 @@ def read_case(case: Case) -> Study:
                 f"{', '.join(case.options)}, or give an image."
             )
         return read_study(case.image).study
+    if case.slice is None:
+        require_memory(shape_of(case.image), STUDY, case.image.name)
     whole = read_image(case.image)
     _refuse_unused(case, whole.ndim == 2)
     image, place = _part(whole, case)
+    image.refuse_as_grid(case.image.name)
     grid = _grid(image, whole, case)
     labels = None if case.labels is None else _pixels(case, case.labels, whole, labels=True)
     scale = 1.0
     if case.maps:
         labels, scale = _most_likely(case, whole)
     materials, unit, notes = _materials(case.materials, labels)
-    notes = (*notes, *filter(None, [scale_in_words(scale)]))
+    notes = (*notes, *filter(None, [scale_in_words(scale), image.note_on_unit]))
     motion = replace(
         _motion(case, grid, place, whole),
         hold_edge=case.hold_edge,
@@ -100,7 +103,7 @@ def read_case(case: Case) -> Study:
         motion,
         prior=prior,
         optimizer=optimizer,
-        pictures=Pictures(image.pixels, labels, case.image.name.partition(".")[0]),
+        pictures=Pictures(image.pixels, labels, stem_of(case.image)),
         names=_names(case),
         notes=notes,
     )
@@ -129,7 +132,7 @@ def _names(case: Case) -> dict[str, str]:
     tissue = case.labels or next(iter(case.maps), None)
     parts = {"tissue": tissue, "boundary": case.boundary, "confidence": confidence}
     files = {part: path.name for part, path in parts.items() if path is not None}
-    return {"image": case.image.name.partition(".")[0], **files}
+    return {"image": stem_of(case.image), **files}
 
 
 class SolvedCase(NamedTuple):
@@ -154,7 +157,7 @@ class SolvedCase(NamedTuple):
 
 def _files_of(case: Case, folder: Path) -> tuple[Path, ...]:
     """Return the paths of all files that `solve_case` may write to a folder."""
-    name = case.image.name.partition(".")[0]
+    name = stem_of(case.image)
     images = (f"{name} deformed.nrrd", f"{name} deformed.tif")
     return tuple(folder / each for each in (f"{name}.study", *images))
 
@@ -208,32 +211,34 @@ def solve_case(
     except ProblemError as error:  # omit the name of the image: the cause is a missing option
         raise HmrfError(error.message) from None
     folder.mkdir(parents=True, exist_ok=True)  # before the solve, so that errors occur early
+    notes = (*ground.unused(stated), *ground.notes_on(stated))
+    del ground  # its images need as much memory as the problem
     solution = solve_statement(study, stated, backend=backend, progress=progress)
     folds = solution.count_folds()
     caveats = tuple(shortcomings(solution, study.grid.unit, folds, stated.problem))
     solution = replace(solution, notes=(*caveats, *solution.notes))
-    name = case.image.name.partition(".")[0]
+    name = stem_of(case.image)
     image = study.pictures.image
     if image is not None:
         if progress is not None and len(study.grid.shape) == 3 and not has_volume_loops():
             progress(Monitor("compiling the loops that move volumes, once per machine", 0.9))
+        make_room(study.grid.shape, WARP)
         moved = solution.warp(image)
         place = None if study.grid.unit == "pixel" else place_of(solution)
         file = ImageFile(moved, place, colours=moved.ndim > len(study.grid.shape))
         write_image(folder / f"{name} deformed{'.nrrd' if place else '.tif'}", file)
     write_study(folder / f"{name}.study", study, solution)
-    notes = (*ground.unused(stated), *ground.notes_on(stated))
     notes = (*caveats, *drift_clauses(solution), *notes)
     return SolvedCase(study, solution, folds, notes)
 
 
 def _part(image: ImageFile, case: Case) -> tuple[ImageFile, Place | None]:
-    """Return the selected slice, or the whole volume with reordered axes, and its place."""
+    """Return the selected slice or the whole volume, with reordered axes, and its place."""
     place, number = image.place, case.slice
     if image.ndim == 2:
         return image, place
     if number is None:
-        return image.upright, image.upright.place
+        return image.laid_out, image.laid_out.place
     count = len(image.pixels)
     if not 0 <= number < count:
         raise ProblemError(
@@ -255,6 +260,7 @@ def _grid(part: ImageFile, whole: ImageFile, case: Case) -> Grid:
     if place is None:
         unit, place = "pixel", Place((1.0,) * 3, (0.0,) * 3, np.eye(3))
     frame = place.frame(number, unit)
+    frame = replace(frame, file_axes=part.order)
     if n == 3:
         frame = replace(frame, plane=(0, 1, 2))
     return Grid(shape, place.spacing[-n:], unit, frame)
@@ -271,8 +277,19 @@ def _materials(
         return table.materials, table.unit, ()
     present, unknown = set(np.unique(labels).tolist()), table.unknown
     named = ", ".join(f"{label} ({unknown[label]})" for label in unknown if label in present)
-    notes = (table.published(present), f"no stiffness is known for {named}" if named else "")
-    return table.materials, table.unit, tuple(f"{path.name}: {note}" for note in notes if note)
+    # Tables of names often lack the background.
+    others = {0: UNPAINTED} if 0 in unlisted(labels, table.materials) else {}
+    others |= {label: name for label, name in unknown.items() if label in present}
+    assumed = default_material(0, table.materials)
+    rows = [replace(assumed, label=label, name=name) for label, name in others.items()]
+    first = next((row.name for row in table.materials if row.is_deformable), "")
+    note = f"no stiffness is known for {named}: that of {first} is used" if named else ""
+    notes = table.published(present), note
+    return (
+        (*table.materials, *rows),
+        table.unit,
+        tuple(f"{path.name}: {note}" for note in notes if note),
+    )
 
 
 def _most_likely(case: Case, whole: ImageFile) -> tuple[npt.NDArray[np.integer], float]:
@@ -308,7 +325,7 @@ def _on_pixels(case: Case, path: Path, whole: ImageFile, image: ImageFile) -> np
         If the image has colours, or differs in size or place from the image of the case.
     """
     reference, place = _part(whole, case)
-    if reference.ndim == 3 and image.place is None:
+    if image.ndim == 3 and image.place is None and case.slice is None:
         image = image._replace(place=whole.place)
     image, at = _part(image, replace(case, image=path))
     pixels, shape = image.pixels, reference.pixels.shape[: reference.ndim]
@@ -337,6 +354,11 @@ def labels_of(image: ImageFile, path: Path) -> npt.NDArray[Any]:
 
 def as_labels(pixels: npt.NDArray[Any], path: Path) -> npt.NDArray[Any]:
     """Return pixels as labels; whole numbers that are stored as floats are converted."""
+    largest = pixels.max(initial=0)
+    if largest > np.iinfo(np.int32).max:
+        raise ProblemError(
+            path.name, f"contains the label {largest:.0f}. Use labels below 2147483648."
+        )
     is_mask = pixels.dtype.kind == "b"
     if is_mask or (pixels.dtype.kind == "f" and (pixels == np.rint(pixels)).all()):
         pixels = pixels.astype(np.int32)
@@ -363,7 +385,6 @@ def _motion(case: Case, grid: Grid, place: Place | None, whole: ImageFile) -> Mo
     if case.rules is not None:
         labels = _pixels(case, path, whole, labels=True)
         rules, n = read_rules(case.rules), len(grid.shape)
-        _refuse_unruled(labels, rules, path.name, case.rules.name)
         if any(len(rule.vector) > n for rule in rules):
             raise ProblemError(
                 case.rules.name, "has a column 'plane', but the case is a slice. Remove the column."
@@ -385,21 +406,6 @@ def _motion(case: Case, grid: Grid, place: Place | None, whole: ImageFile) -> Mo
     return Motion(observed=on_grid.displacement, confidence=np.where(on_grid.known, confidence, 0))
 
 
-def _refuse_unruled(
-    labels: npt.NDArray[Any], rules: Sequence[BoundaryRule], image: str, table: str
-) -> None:
-    """Raise an error if a label in the image, except 0, has no rule."""
-    missing = [label for label in unlisted(labels, rules) if label]
-    if missing:
-        listed = ", ".join(map(str, missing[:_LISTED]))
-        more = f" and {len(missing) - _LISTED} more" if len(missing) > _LISTED else ""
-        lines = "a line" if len(missing) == 1 else "lines"
-        raise FileFormatError(
-            f"{table}: there is no rule for label {listed}{more}, which is used in {image}. Add "
-            f"{lines} such as {missing[0]},fixed, or set these pixels to 0."
-        )
-
-
 def _confidence_of(case: Case, whole: ImageFile) -> npt.NDArray[Any]:
     part, _ = _part(whole, case)
     if case.confidence is None:
@@ -418,12 +424,15 @@ def _landmarks(case: Case, path: Path, grid: Grid, whole: ImageFile) -> Drawing:
             "contains landmarks without target positions. Give pairs of landmarks, as written by "
             "BigWarp.",
         )
+    if not file.unit:
+        whole.refuse_lengths(case.image.name, path.name)
     _, place = _part(whole, case)
     # BigWarp's coordinates refer to the axes in the file, before they are reordered by `upright`.
-    file_place = whole.place if n == 3 else place
+    is_whole = whole.ndim == 3 and case.slice is None
+    file_place = whole.place if is_whole else place
     point_place = place_for(file, file_place, path.name, n)
     ends = [point_place.to_pixels(points) for points in (file.points, file.targets)]
-    if file_place is not None and place is not None and n == 3:
+    if file_place is not None and place is not None and is_whole:
         ends = [place.to_pixels(file_place.to_space(at)) for at in ends]
     if point_place is not file_place and n == 2 and case.slice is not None:
         ends = [

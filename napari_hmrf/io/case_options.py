@@ -196,8 +196,9 @@ def notes_on_ratio(case: Case, tissue: Tissue) -> tuple[str, ...]:
     if any(row.poisson not in (case.poisson, USUAL_POISSON) for row in tissue.materials):
         table = "the table" if case.materials is None else case.materials.name
         notes.append(f"--poisson {case.poisson:g} replaces the Poisson's ratios of {table}")
-    missing = [] if tissue.labels is None else unlisted(tissue.labels, tissue.materials)
-    added = [default_material(label, tissue.materials) for label in missing]
+    labels = tissue.labels
+    missing = [] if labels is None or tissue.materials else unlisted(labels, ())
+    added = [default_material(label, ()) for label in missing]
     notes += [
         f"label {row.label} is not in the table, so its stiffness was set to {row.stiffness:g}"
         for row in added

@@ -30,7 +30,7 @@ from napari_hmrf.arguments import checked_path
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.io.case_options import Case
 from napari_hmrf.io.csv_files import read_csv, unknown_column
-from napari_hmrf.io.images import read_image
+from napari_hmrf.io.images import read_image, stem_of
 from napari_hmrf.io.sweeps import OF_BOUNDARIES, OF_TISSUES, Change
 from napari_hmrf.io.tables import value_of
 from napari_hmrf.solver.model_names import MODELS, as_word
@@ -235,8 +235,8 @@ def _cases_of(cells: dict[str, str], folder: Path, where: str) -> Iterator[Named
     named_after = [title for title in values if "name" not in cells or len(values[title]) > 1]
     for chosen in product(*values.values()):
         chosen_values = dict(zip(values, chosen, strict=True))
-        base = cells.get("name", Path(image).name.partition(".")[0])
-        if not base or _FORBIDDEN.search(base) or base[0] in ".-" or base[-1] == ".":
+        base = cells.get("name", stem_of(image))
+        if not base or _FORBIDDEN.search(base) or base[0] in ".-=+@~" or base[-1] == ".":
             raise FileFormatError(
                 f"{where}: {base!r} is not a valid folder name. Give another name."
             )

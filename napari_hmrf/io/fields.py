@@ -633,3 +633,27 @@ def check_rotation(direction: npt.ArrayLike, n: int) -> npt.NDArray[np.float64]:
             "the image axes as its columns.",
         )
     return turn
+
+
+def require_right_angles(place: Place, name: str) -> None:
+    """Raise an error if the axes of a grid are not at right angles.
+
+    Parameters
+    ----------
+    place : Place
+    name : str
+        Name of the image or its file, for the error message.
+
+    Raises
+    ------
+    ProblemError
+        If the direction matrix is not orthogonal.
+    """
+    try:
+        check_rotation(place.direction, len(place.spacing))
+    except ProblemError:
+        raise ProblemError(
+            name,
+            "has axes that are not at right angles, as scans with a tilted gantry. Resample it to "
+            "a grid with right angles.",
+        ) from None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,9 @@ import numpy.typing as npt
 from napari_hmrf.arguments import is_whole, shown
 from napari_hmrf.errors import ArgumentError, ProblemError
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.io.fields import Place, check_rotation
+from napari_hmrf.io.fields import Place, require_right_angles
 from napari_hmrf.io.images import read_image
+from napari_hmrf.io.nifti import fault_of_places
 from napari_hmrf.study.study import Grid
 
 #: Transform from right, anterior, superior (nibabel's convention) to left, posterior, superior.
@@ -52,7 +54,7 @@ def grid_of_image(
         As for `read_image`, if `image` is a path.
     """
     if isinstance(image, str | os.PathLike):
-        shape, place = _of_file(image)
+        shape, place = _of_file(image, None if slice is None else axis)
     elif hasattr(image, "GetDirection"):
         shape, place = _of_simpleitk(image)
     elif hasattr(image, "affine") and hasattr(image, "dataobj"):
@@ -67,7 +69,7 @@ def grid_of_image(
     if place is None:
         unit, frame = "pixel", Frame.at((1.0,) * n, ("pixel",) * n, volume=n == 3)
     else:
-        check_rotation(place.direction, len(place.spacing))
+        require_right_angles(place, "image")
         unit, frame = "millimeter", place.frame(volume=n == 3)
     spacing = frame.spacing
     grid = Grid(shape, spacing, unit, None if place is None else frame)
@@ -97,8 +99,13 @@ def _slice_of(grid: Grid, frame: Frame, number: int, axis: int) -> Grid:
     )
 
 
-def _of_file(path: str | os.PathLike[str]) -> tuple[tuple[int, ...], Place | None]:
+def _of_file(
+    path: str | os.PathLike[str], across: int | None
+) -> tuple[tuple[int, ...], Place | None]:
+    """Return the shape and place of an image file, of which one slice may be used."""
     image = read_image(path)
+    is_stack = across == 0 and image.ndim == 3  # a slice of it is an image
+    (image._replace(pixels=image.pixels[0]) if is_stack else image).refuse_as_grid(Path(path).name)
     return tuple(image.pixels_in_place.shape[: image.pixels_in_place.ndim - image.colours]), (
         image.place
     )
@@ -126,6 +133,12 @@ def _of_nibabel(image: Any) -> tuple[tuple[int, ...], Place]:
         raise ArgumentError(
             f"image has the affine {shown(image.affine)}. Pass an image with a 4 x 4 affine."
         )
+    header = image.header
+    if hasattr(header, "get_qform") and hasattr(header, "get_sform"):  # NIfTI
+        codes = int(header["qform_code"]), int(header["sform_code"])
+        fault = fault_of_places(header.get_qform(), header.get_sform(), codes, shape)
+        if fault:
+            raise ProblemError("image", f"is ambiguous: {fault}.")
     steps: npt.NDArray[np.float64] = _TO_LPS @ affine
     steps[:3] *= _millimetres(image)
     spacing = np.linalg.norm(steps[:3, :3], axis=0)

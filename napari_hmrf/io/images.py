@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import os
+from contextlib import suppress
 from itertools import permutations
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,14 +20,30 @@ import numpy.typing as npt
 from napari_hmrf.arguments import checked_path
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
-from napari_hmrf.io.fields import Place
-from napari_hmrf.io.itk_files import ItkImage, Unreadable, encode, read_itk_image, read_itk_series
+from napari_hmrf.io.fields import Place, require_right_angles
+from napari_hmrf.io.itk_files import (
+    ItkImage,
+    Unreadable,
+    encode,
+    itk_shape,
+    read_itk_image,
+    read_itk_series,
+)
 from napari_hmrf.regular_file import refuse_irregular
+from napari_hmrf.solver.problem import grid_in_words
 
 #: Largest distance at which two grids are considered to be in the same place, in pixels.
 SAME = 0.01
+#: Largest relative difference between the sides of pixels that are considered square.
+_SQUARE = 1e-3
+#: Axes of .tif files that are not axes of space, with their content, and the unit of OME's sizes.
+_NO_SPACE, _OME_UNIT = {"C": "channels", "T": "times"}, "µm"
 #: Suffixes of pictures.
 PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
+#: Suffix of segmentations of 3D Slicer.
+_SEGMENTS = ".seg.nrrd"
+#: Suffixes of other files that have a name of their own.
+_OTHER_SUFFIXES = (".study", ".npz", ".csv", ".fcsv", ".mrk.json", ".h5", ".tfm", ".txt")
 #: Suffixes of medical images.
 MEDICAL_SUFFIXES = (".nii.gz", ".nii", ".mha", ".mhd", ".nrrd", ".nhdr", ".dcm")
 
@@ -41,11 +58,23 @@ class ImageFile(NamedTuple):
         Place in patient coordinates, in mm; None for a picture.
     colours : bool
         True if the last axis contains colour channels.
+    stack : str
+        Content of the first of three axes, such as "channels", if it is not depth; "" if it is.
+    calibration : tuple of float
+        Size of a pixel along each axis in the unit `unit`, as programs for microscopy store it in
+        .tif files. Lengths in such images are in pixels all the same.
+    unit : str
+    order : tuple of int
+        Axis of the file for each axis of the volume, if its axes were reordered.
     """
 
     pixels: npt.NDArray[Any]
     place: Place | None = None
     colours: bool = False
+    stack: str = ""
+    calibration: tuple[float, ...] = ()
+    unit: str = ""
+    order: tuple[int, ...] = ()
 
     @property
     def pixels_in_place(self) -> npt.NDArray[Any]:
@@ -68,7 +97,20 @@ class ImageFile(NamedTuple):
         def nearness(order: tuple[int, ...]) -> float:
             return sum(abs(float(turn[world, axis])) for world, axis in enumerate(order))
 
-        return self.reordered(max(permutations(range(3)), key=nearness))
+        order = max(permutations(range(3)), key=nearness)
+        return self if order == (0, 1, 2) else self.reordered(order)
+
+    @property
+    def laid_out(self) -> ImageFile:
+        """Image as it is solved: upright, or the only slice of a volume along any axis."""
+        shape = self.pixels.shape
+        if self.ndim != 3:
+            return self
+        if self.place is None or 1 not in shape[:3]:
+            return self.upright
+        across = shape.index(1)
+        image = self.reordered((across, *(axis for axis in range(3) if axis != across)))
+        return image._replace(pixels=image.pixels[0])
 
     def reordered(self, order: tuple[int, ...]) -> ImageFile:
         """Return a view of a volume with its axes reordered; the volume must have a place."""
@@ -83,6 +125,7 @@ class ImageFile(NamedTuple):
                 turn[:, list(order)][::-1, ::-1],
             ),
             self.colours,
+            order=() if order == (0, 1, 2) else order,
         )
 
     def laid_as(self, place: Place | None) -> ImageFile:
@@ -119,6 +162,67 @@ class ImageFile(NamedTuple):
                 "in the same place. If only the header is wrong, save the image as a .tif, which "
                 "does not store a place.",
             )
+
+    def refuse_as_grid(self, name: str) -> None:
+        """Raise an error if the pixels are not the rectangular pixels of an image or a volume.
+
+        Parameters
+        ----------
+        name : str
+            Name of the image file, for the error message.
+
+        Raises
+        ------
+        ProblemError
+            If axes are not at right angles; or if the image is a .tif whose first axis is not
+            depth, or whose pixels are not squares or cubes.
+        """
+        if self.place is not None:
+            require_right_angles(self.place, name)
+        if self.ndim == 3 and self.stack:
+            raise ProblemError(
+                name,
+                f"is a stack of {len(self.pixels)} {self.stack}, not a volume. Give one of them "
+                "(`slice=N`), or save the image without the others.",
+            )
+        sizes = self.calibration[-self.ndim :]
+        if sizes and max(sizes) > (1 + _SQUARE) * min(sizes):
+            kind = "squares" if self.ndim == 2 else "cubes"
+            raise ProblemError(
+                name,
+                f"has pixels of {grid_in_words(sizes)} {self.unit}, but pixels of this format "
+                f"count as {kind}. Save the image as .nrrd or .nii.gz, with its spacing in mm.",
+            )
+
+    def refuse_lengths(self, name: str, file: str) -> None:
+        """Raise an error for landmarks in the unit of a .tif, whose pixels have another size.
+
+        Parameters
+        ----------
+        name, file : str
+            Names of the image file and of the landmark file, for the error message.
+
+        Raises
+        ------
+        ProblemError
+            If the image states the size of its pixels, and this size is not 1.
+        """
+        if any(abs(size - 1) > _SQUARE for size in self.calibration):
+            raise ProblemError(
+                file,
+                f"contains landmarks in {self.unit}, the unit of {name}, but lengths in this image "
+                f"are in pixels. Divide the coordinates by {grid_in_words(self.calibration[::-1])} "
+                f"(x, y, ...), and remove the scale from {name}; or save {name} as .nrrd or "
+                ".nii.gz with its spacing, and the landmarks, in mm.",
+            )
+
+    @property
+    def note_on_unit(self) -> str:
+        """Clause for the user about the unit of lengths; "" if the file states no other unit."""
+        if not self.calibration:
+            return ""
+        sizes = grid_in_words(self.calibration[-self.ndim :])
+        return f"lengths are in pixels: the file states pixels of {sizes} {self.unit}"
 
     @property
     def ndim(self) -> int:
@@ -187,8 +291,13 @@ def read_image(path: str | os.PathLike[str]) -> ImageFile:
         if source.is_dir():
             reason = str(error) or "the folder contains a damaged series"
             raise FileFormatError(f"{source.name}: {reason}.") from None
-        raise _unreadable(source) from error
+        raise _unreadable(source, str(error)) from error
     n, count, pixels = image.ndim, image.components, image.pixels
+    if count > 1 and source.name.lower().endswith(_SEGMENTS):
+        raise FileFormatError(
+            f"{source.name}: the segmentation has {count} layers, because segments overlap. Export "
+            "it in 3D Slicer as a labelmap, in which every voxel has one label."
+        )
     if n not in (2, 3) or count not in (1, n, 3, 4):
         raise FileFormatError(
             f"{source.name}: the image has {n} axes and {count} values per pixel. Give a grey or "
@@ -202,8 +311,28 @@ def read_image(path: str | os.PathLike[str]) -> ImageFile:
     return ImageFile(pixels[0] if n == 3 and len(pixels) == 1 else pixels, place, count > 1)
 
 
-def _unreadable(source: Path) -> FileFormatError:
+def shape_of(path: str | os.PathLike[str]) -> tuple[int, ...]:
+    """Return the shape of a volume in a medical image file, from its header alone.
+
+    Returns
+    -------
+    tuple of int
+        Shape (D, H, W); () for other files, and for files that `read_image` refuses.
+    """
+    source = Path(checked_path(path))
+    if source.is_dir() or not source.name.lower().endswith(MEDICAL_SUFFIXES):
+        return ()
+    try:
+        shape = itk_shape(source)
+    except (Unreadable, HmrfError, OSError):
+        return ()
+    return shape if len(shape) == 3 and shape[0] > 1 else ()
+
+
+def _unreadable(source: Path, reason: str = "") -> FileFormatError:
     """Return the error for a file that cannot be read as an image, with the likely reason."""
+    if reason:
+        return FileFormatError(f"{source.name}: cannot be read as an image: {reason}.")
     reason = "damaged, or has another format" if source.stat().st_size else "empty"
     kinds = ", ".join((*PICTURE_SUFFIXES, *MEDICAL_SUFFIXES))
     return FileFormatError(
@@ -212,13 +341,23 @@ def _unreadable(source: Path) -> FileFormatError:
     )
 
 
+def stem_of(path: str | os.PathLike[str]) -> str:
+    """Return the name of a file without the suffix of its format; other dots belong to the name."""
+    name = Path(path).name
+    kinds = (*PICTURE_SUFFIXES, *MEDICAL_SUFFIXES, _SEGMENTS, *_OTHER_SUFFIXES)
+    longest = max((len(each) for each in kinds if name.lower().endswith(each)), default=0)
+    return name[: len(name) - longest] or name
+
+
 def is_scan(path: str | os.PathLike[str]) -> bool:
-    """Return whether a path has the suffix of a medical image, or is a folder of DICOM files."""
+    """Return whether a path has the suffix of a medical image, or is a folder with DICOM files.
+
+    The folder may contain other files, such as those in which systems store thumbnails.
+    """
     source = Path(path)
     if not source.is_dir():
         return source.name.lower().endswith(MEDICAL_SUFFIXES)
-    files = [each for each in source.iterdir() if each.is_file()]
-    return bool(files) and all(map(_is_dicom, files))
+    return any(_is_dicom(each) for each in sorted(source.iterdir()) if each.is_file())
 
 
 def _is_dicom(file: Path) -> bool:
@@ -275,34 +414,71 @@ _PARTED = (".mhd", ".nhdr", ".dcm")
 
 def _read_picture(source: Path) -> ImageFile:
     try:
-        pixels, colours = (_read_tiff if source.suffix.lower() in _TIFF else _read_photo)(source)
+        image = (_read_tiff if source.suffix.lower() in _TIFF else _read_photo)(source)
     except Exception as error:
         raise _unreadable(source) from error
+    pixels = image.pixels
     if pixels.dtype.kind not in "biuf":
         raise FileFormatError(
             f"{source.name}: the image has {pixels.dtype} values. Give an image of real numbers."
         )
-    if pixels.ndim - colours not in (2, 3):
+    if image.ndim not in (2, 3):
         raise FileFormatError(
             f"{source.name}: the image has shape {pixels.shape}. Give an image with 2 or 3 axes."
         )
-    return ImageFile(pixels, None, colours)
+    return image
 
 
-def _read_photo(source: Path) -> tuple[npt.NDArray[Any], bool]:
+def _read_photo(source: Path) -> ImageFile:
+    from PIL import Image  # heavy: PIL
     from skimage.io import imread  # heavy: skimage
 
+    with Image.open(source) as picture:
+        if picture.mode == "CMYK":
+            return ImageFile(np.asarray(picture.convert("RGB")), colours=True)
     pixels = np.asarray(imread(source))
-    return pixels, pixels.ndim == 3
+    if pixels.ndim == 3 and pixels.shape[-1] == 2:  # grey and opacity
+        pixels = pixels[..., 0]
+    return ImageFile(pixels, colours=pixels.ndim == 3)
 
 
-def _read_tiff(source: Path) -> tuple[npt.NDArray[Any], bool]:
+def _read_tiff(source: Path) -> ImageFile:
     import tifffile  # heavy: tifffile
 
     with tifffile.TiffFile(source) as file:
         first = file.series[0]
-        pixels = np.asarray(first.asarray())
-        return pixels, first.axes.endswith("S") and pixels.shape[-1] in (3, 4)
+        pixels, axes = np.asarray(first.asarray()), first.axes
+        colours = axes.endswith("S") and pixels.shape[-1] in (3, 4)
+        image = ImageFile(pixels, colours=colours, stack=_NO_SPACE.get(axes[0], ""))
+        with suppress(KeyError, TypeError, ValueError, ArithmeticError):  # invalid metadata
+            image = image._replace(**_calibration(file, image))
+        return image
+
+
+def _calibration(file: Any, image: ImageFile) -> dict[str, Any]:
+    """Return the size of a pixel and its unit, as ImageJ or OME store them, or nothing."""
+    import tifffile  # heavy: tifffile
+
+    if file.ome_metadata:
+        images = tifffile.xml2dict(file.ome_metadata)["OME"]["Image"]
+        stated = (images[0] if isinstance(images, list) else images)["Pixels"]
+        sizes = [stated.get(f"PhysicalSize{axis}") for axis in "ZYX"]
+        units = {stated.get(f"PhysicalSize{axis}Unit", _OME_UNIT) for axis in "YX"}
+        unit = " or ".join(sorted(units))
+    elif file.imagej_metadata:
+        stated = file.imagej_metadata
+        unit = stated.get("unit", "").replace("\\u00B5", "µ") or "pixel"
+        tags = file.pages[0].tags
+        names = [f"{axis}Resolution" for axis in "YX" if not unit.startswith("pixel")]
+        along = [tags[name].value for name in names if name in tags]
+        sizes = [below / above for above, below in along if above] or [1.0, 1.0]
+        sizes = [stated.get("spacing", 1.0), *sizes]
+    else:
+        return {}
+    sizes = [*map(float, filter(None, sizes[-image.ndim :]))]
+    is_known = len(sizes) == image.ndim and min(sizes) > 0
+    is_known = is_known and any(abs(size - 1) > _SQUARE for size in sizes)
+    return {"calibration": tuple(sizes), "unit": unit} if is_known else {}
 
 
 def _encode(target: Path, image: ImageFile, suffix: str) -> bytes:

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import errno
 import importlib.util
+import itertools
 import math
 import os
+import re
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,13 +20,22 @@ import numpy.typing as npt
 
 from napari_hmrf.atomic_write import raise_for_space, temporary_beside
 from napari_hmrf.errors import CANNOT_SAVE, HmrfError
+from napari_hmrf.field.units import unit_factor
 from napari_hmrf.io.decoder_process import Decoded, Undecodable, decoder, missing_simpleitk
-from napari_hmrf.io.nifti import is_cut_short, place_in_nifti
+from napari_hmrf.io.nifti import (
+    fault_in_nifti,
+    holds_positions,
+    is_cut_short,
+    not_finite,
+    place_in_nifti,
+)
 from napari_hmrf.regular_file import refuse_irregular
 
 #: Suffixes of transforms in text files.
 _TEXTS = (".tfm", ".txt")
 _NIFTI = (".nii", ".nii.gz")
+_NRRD = (".nrrd", ".nhdr")
+_NIFTI_HEADERS = (*_NIFTI, ".hdr", ".img")
 _FIELD = "DisplacementFieldTransform_"
 #: Reason for rejecting a NIfTI file with fewer bytes than its header states, or a damaged .gz.
 _CUT_SHORT = "it is damaged or truncated"
@@ -85,8 +96,27 @@ def read_itk_image(source: Path) -> ItkImage:
         If the file cannot be opened.
     """
     _check_openable(source)
+    _refuse_faults(source)
     _check_length(source)
-    return _image(_decode(source, "pixels"))
+    image = _in_millimetres(_image(_decode(source, "pixels")), source)
+    values = not_finite(source) if _is_real_nifti(source, image) else None
+    if values is not None:  # ITK has replaced them by 0
+        stored = values.reshape(image.components, -1).T.reshape(image.pixels.shape)
+        unknown = ~np.isfinite(stored)
+        image.pixels[unknown] = stored[unknown]
+    return image
+
+
+def itk_shape(source: Path) -> tuple[int, ...]:
+    """Return the number of pixels along each axis, ([z,] y, x), from the header of an image.
+
+    Raises
+    ------
+    Unreadable, HmrfError, OSError
+        As for `read_itk_image`.
+    """
+    _check_openable(source)
+    return tuple(_decode(source, "head").header["size"][::-1])
 
 
 def read_itk_series(folder: Path) -> ItkImage:
@@ -119,10 +149,15 @@ def read_itk_vectors(source: Path) -> ItkImage:
     _check_openable(source)
     if source.name.lower().endswith(_TEXTS):
         _check_text(source)
+    _refuse_faults(source)
     _check_length(source)
-    image = _image(_decode(source, "pixels", vectors=True))
+    image = _in_millimetres(_image(_decode(source, "pixels", vectors=True)), source)
     if image.ndim == 2 and image.components == 3:
         image = _in_volume(image, source)
+    if _is_real_nifti(source, image):
+        if not_finite(source) is not None:
+            raise Unreadable("it contains NaN or infinite values")
+        image = _as_displacements(image, source)
     return image
 
 
@@ -215,6 +250,53 @@ def _decode(source: Path, kind: str, *, vectors: bool = False) -> Decoded:
         return decoder.decode(source, kind, vectors=vectors)
     except Undecodable as error:
         raise (Damaged if error.fatal else Unreadable)(str(error)) from None
+
+
+def _refuse_faults(source: Path) -> None:
+    """Raise an error for a NIfTI file that ITK would read wrongly, or not at all."""
+    fault = fault_in_nifti(source) if source.name.lower().endswith(_NIFTI_HEADERS) else ""
+    if fault:
+        raise Unreadable(fault)
+
+
+def _in_millimetres(image: ItkImage, source: Path) -> ItkImage:
+    """Return an image of an NRRD file with its lengths in mm; ITK ignores the unit of the file."""
+    if source.suffix.lower() not in _NRRD:
+        return image
+    with open(source, "rb") as file:
+        lines = itertools.takewhile(str.strip, (line.decode("latin-1") for line in file))
+        stated = next((line for line in lines if line.lower().startswith("space units:")), "")
+    units = {unit for unit in re.findall(r'"([^"]*)"', stated) if unit}
+    factors = {unit_factor(unit, "millimeter") for unit in units} or {1.0}
+    if len(factors) > 1 or not all(map(math.isfinite, factors)):
+        raise Unreadable(
+            f"its space units are {' and '.join(sorted(units))}. Set one unit of length for all "
+            "axes, such as mm"
+        )
+    (factor,) = factors
+    return image._replace(
+        spacing=tuple(factor * size for size in image.spacing),
+        origin=tuple(factor * at for at in image.origin),
+    )
+
+
+def _is_real_nifti(source: Path, image: ItkImage) -> bool:
+    return source.name.lower().endswith(_NIFTI) and image.pixels.dtype.kind == "f"
+
+
+def _as_displacements(image: ItkImage, source: Path) -> ItkImage:
+    """Convert the positions or displacements of SPM and NiftyReg to displacements in LPS."""
+    try:
+        positions = holds_positions(source)
+    except ValueError as error:
+        raise Unreadable(str(error)) from None
+    if positions is None or image.ndim != image.components:
+        return image
+    vectors = image.pixels * np.array([-1.0, -1.0, 1.0])[: image.ndim]
+    if positions:
+        indices = np.moveaxis(np.indices(vectors.shape[:-1]), 0, -1)[..., ::-1]
+        vectors -= (indices * image.spacing) @ image.direction.T + image.origin
+    return image._replace(pixels=vectors)
 
 
 def _check_openable(source: Path) -> None:

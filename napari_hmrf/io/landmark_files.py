@@ -15,9 +15,11 @@ with patient coordinates.
 
 from __future__ import annotations
 
+import codecs
 import csv
 import io
 import json
+import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -29,6 +31,7 @@ import numpy.typing as npt
 from napari_hmrf.arguments import checked_path, did_you_mean
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError, ProblemError
+from napari_hmrf.field.units import unit_factor
 from napari_hmrf.regular_file import read_at_most
 from napari_hmrf.solver.problem import as_numbers
 
@@ -110,6 +113,8 @@ def read_points(path: str | os.PathLike[str]) -> LandmarkFile:
     content = read_at_most(source, _LARGEST)
     if content is None:
         raise FileFormatError(f"{name} is too large to be a landmark file.")
+    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise FileFormatError(f"{name}: not a landmark file: it is UTF-16 text. Save it as UTF-8.")
     try:
         text = content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
         landmarks = {".csv": _parse_csv, ".mrk.json": _parse_markups, ".fcsv": _parse_fiducials}[
@@ -263,9 +268,16 @@ def _in_space(points: Points) -> Points:
 
 
 def _parse_csv(text: str) -> LandmarkFile:
-    rows = [row for row in csv.reader(io.StringIO(text)) if row]
+    rows = [row for row in csv.reader(io.StringIO(text)) if any(map(str.strip, row))]
     if not rows:
         raise _InvalidContent("it is empty")
+    start = text.lstrip().partition("\n")[0]
+    for separator, name in ((";", "semicolons"), ("\t", "tabs")):
+        if separator in start and start.count(separator) > len(rows[0]) // 2:
+            raise _InvalidContent(
+                f"its columns are separated by {name}. Save it with commas between columns, and "
+                "with points in decimal numbers"
+            )
     if rows[0][0].strip().casefold() == "index":  # napari's format
         titles = [title.strip().casefold() for title in rows[0][1:]]
         has_sd = titles[-1:] == ["sd"]
@@ -301,11 +313,24 @@ def _parse_csv(text: str) -> LandmarkFile:
                 "false. BigWarp's files have no column titles"
             )
     active = [row for row in rows if row[1].strip().casefold() == "true"]
+    for number, row in enumerate(active, 1):
+        if wrong := next((cell for cell in row[2 : 2 + 2 * n] if not _is_finite(cell)), None):
+            raise _InvalidContent(
+                f"active landmark {number} ({row[0]}) has the coordinate {wrong[:40]!r}. Use "
+                "finite numbers with a decimal point, or set the landmark to false"
+            )
     places = [row[2 : 2 + 2 * n] for row in active]
     numbers = np.array(places, float).reshape(len(active), 2, n)[..., ::-1]
     spreads = _spreads([row[-1] for row in active]) if columns % 2 else None
     names = tuple(row[0] for row in active)
     return LandmarkFile(numbers[:, 0], numbers[:, 1], names, sd=spreads)
+
+
+def _is_finite(cell: str) -> bool:
+    try:
+        return math.isfinite(float(cell))
+    except ValueError:
+        return False
 
 
 def _spreads(cells: Sequence[str]) -> npt.NDArray[np.float64]:
@@ -344,7 +369,17 @@ def _parse_markups(text: str) -> LandmarkFile:
         for each in markups["controlPoints"]
         if each.get("positionStatus", "defined") == "defined"
     ]
-    return _slicer_landmarks(points, markups["coordinateSystem"])
+    if "coordinateSystem" not in markups:
+        raise _InvalidContent(
+            "it has no coordinateSystem, so that its points may be in LPS or RAS. Add the one that "
+            "is right"
+        )
+    unit = markups.get("coordinateUnits", "mm")
+    unit = unit[0] if isinstance(unit, list) else unit  # a code, its scheme and its meaning
+    factor = unit_factor(str(unit), "millimeter")
+    if not math.isfinite(factor):
+        raise _InvalidContent(f"its points are in {unit!r}, which is not a unit of length")
+    return _slicer_landmarks(points, markups["coordinateSystem"], factor)
 
 
 def _as_markups(points: Points, names: Sequence[str]) -> str:
@@ -391,10 +426,13 @@ def _as_fiducials(points: Points, names: Sequence[str]) -> str:
     return file.getvalue()
 
 
-def _slicer_landmarks(points: Sequence[tuple[str, Sequence[Any]]], system: str) -> LandmarkFile:
+def _slicer_landmarks(
+    points: Sequence[tuple[str, Sequence[Any]]], system: str, factor: float = 1.0
+) -> LandmarkFile:
+    """Return points of a file of 3D Slicer, whose unit is a number of millimetres."""
     if system not in _TO_LPS:
         raise _InvalidContent(f"its points are in {system!r}, not in LPS or RAS")
     places = np.array([place for _, place in points], float).reshape(len(points), 3)
     return LandmarkFile(
-        (places * _TO_LPS[system])[:, ::-1], names=tuple(n for n, _ in points), unit="mm"
+        (factor * places * _TO_LPS[system])[:, ::-1], names=tuple(n for n, _ in points), unit="mm"
     )

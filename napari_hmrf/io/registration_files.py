@@ -25,7 +25,7 @@ from napari_hmrf.io.apply import place_for
 from napari_hmrf.io.case import read_case
 from napari_hmrf.io.case_options import Case
 from napari_hmrf.io.fields import place_of, write_mapping
-from napari_hmrf.io.images import ImageFile, read_image, write_image
+from napari_hmrf.io.images import ImageFile, read_image, shape_of, stem_of, write_image
 from napari_hmrf.io.itk_files import has_simpleitk
 from napari_hmrf.io.landmark_files import LandmarkFile, read_points
 from napari_hmrf.io.overwriting import refuse_overwriting
@@ -38,6 +38,7 @@ from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import Progress
 from napari_hmrf.solver.uncertain_landmarks import Landmarks
+from napari_hmrf.solver.volume_memory import REGISTRATION, require_memory
 from napari_hmrf.study.ground import Ground, solve_statement
 from napari_hmrf.study.study import Grid, Study, Tissue
 from napari_hmrf.tissue.drawing import Drawing
@@ -193,7 +194,7 @@ def register_files(
     report(Monitor("solving the study", _REGISTERED))
     study = _study_of(case, pair, found, marks)
     solution = solve_statement(study, Ground.of(study).statement())
-    notes = [*pair.notes, *_notes_on(found, solution)]
+    notes = [*pair.notes, *_notes_on(found, solution, pair, marks)]
     report(Monitor("writing the results", 1.0))
     write_study(folder / names.study, study, solution)
     notes += _write_images(folder, names, pair, found)
@@ -220,7 +221,7 @@ class _Names(NamedTuple):
 
     @classmethod
     def of(cls, case: RegistrationCase) -> _Names:
-        fixed, moving = (path.name.partition(".")[0] for path in (case.fixed, case.moving))
+        fixed, moving = (stem_of(path) for path in (case.fixed, case.moving))
         return cls(
             f"{fixed}.study",
             f"{fixed} deformed",
@@ -273,6 +274,7 @@ class _Pair:
         for path in (case.fixed, case.moving):
             if is_study_file(path):
                 raise HmrfError(f"{path.name} is a study. Give an image.")
+            require_memory(shape_of(path), REGISTRATION, path.name)
         study = read_case(
             Case(case.fixed, labels=case.labels, materials=case.materials, maps=case.maps)
         )
@@ -514,11 +516,13 @@ def _in_pixels(
 ) -> Float64Array:
     """Convert points of a landmark file to pixels of an image, as `read_case` lays it out."""
     whole = read_image(image)
+    if not file.unit:
+        whole.refuse_lengths(image.name, name)
     place = place_for(file, whole.place, name, n)
     at = place.to_pixels(points)
-    upright = whole.upright
-    if n == 3 and whole.place is not None and upright.place is not None:
-        at = upright.place.to_pixels(whole.place.to_space(at))
+    laid_out = whole.laid_out
+    if whole.ndim == 3 and whole.place is not None and laid_out.place is not None:
+        at = laid_out.place.to_pixels(whole.place.to_space(at))
     return at[:, -n:]
 
 
@@ -529,7 +533,7 @@ def _study_of(
     measured = found.motion().measured
     assert measured is not None
     record = {
-        "second image": case.moving.name.partition(".")[0],
+        "second image": stem_of(case.moving),
         "alignment": case.alignment or "",
         "matrix": found.matrix.tolist(),
         "before": found.similarity_before,
@@ -544,16 +548,26 @@ def _study_of(
     return replace(pair.study, motion=motion, prior=found.prior, names=names)
 
 
-def _notes_on(found: Registration, solution: Solution) -> list[str]:
+def _notes_on(
+    found: Registration, solution: Solution, pair: _Pair, marks: Landmarks | None
+) -> list[str]:
     """Return notes on folds, and on the difference between the study and the registration."""
     notes = []
     if found.folds:
         notes.append(f"the tissue folds over itself at {found.folds} sites")
     difference = np.abs(found.displacement - solution.displacement) / np.asarray(solution.spacing)
     if (apart := float(difference[solution.tissue].max(initial=0))) > _APART:
+        reason = ""
+        if np.isinf(pair.stiffness).any():
+            reason = ", because rigid tissue turns exactly in the registration only"
+        elif marks is not None:
+            reason = (
+                ": where the images contradict a landmark, the study follows the landmark more. "
+                "Check the landmarks, or give them a larger --landmark-sd"
+            )
         notes.append(
-            f"the field of the study differs from the registered field by up to {apart:.2g} px, "
-            "because rigid tissue turns exactly in the registration only"
+            f"the field of the study differs from the registered field by up to {apart:.2g} px"
+            f"{reason}"
         )
     return notes
 

@@ -256,6 +256,8 @@ def _on_grid(path: Path, solution: Solution) -> ImageFile:
     image, place = read_image(path), None if is_unplaced else place_of(solution)
     if solution.tissue.ndim == 3:
         image = image.laid_as(place)
+    elif 1 in image.pixels.shape[: image.ndim]:  # a volume of one slice
+        image = image.laid_out
     sizes, shape = image.pixels.shape[: image.ndim], solution.tissue.shape
     if sizes != shape:
         raise ProblemError(

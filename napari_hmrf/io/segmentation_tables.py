@@ -85,7 +85,7 @@ def read_label_names(path: str | os.PathLike[str]) -> dict[int, str]:
     elif ending == ".json":
         rows = _of_json(_text(source, ending), source.name)
     elif ending == ".nrrd":
-        rows = _of_segments(_text(source, ending))
+        rows = _of_segments(_text(source, ending), source.name)
     else:
         rows = _of_lines(_text(source, ending), source.name)
     names: dict[int, str] = {}
@@ -270,15 +270,22 @@ def _of_lines(text: str, file: str) -> Iterable[tuple[int, str]]:
             )
 
 
-def _of_segments(text: str) -> Iterable[tuple[int, str]]:
-    """Yield the label and name of each segment in the first layer (the label image)."""
+def _of_segments(text: str, file: str) -> Iterable[tuple[int, str]]:
+    """Yield the label and name of each segment of a label image."""
     segments: dict[str, dict[str, str]] = {}
     for line in takewhile(str, text.splitlines()):
         if match := _SEGMENT.match(line):
             segments.setdefault(match[1], {})[match[2]] = match[3].strip()
+    layers = {each.get("Layer", "0") for each in segments.values()}
+    if len(layers) > 1:
+        raise FileFormatError(
+            f"{file}: the segmentation has {len(layers)} layers, because segments overlap, so that "
+            "a label has several names. Export it in 3D Slicer as a labelmap, in which every voxel "
+            "has one label."
+        )
     for each in segments.values():
         label = _as_label(each.get("LabelValue", ""))
-        if label is not None and each.get("Layer", "0") == "0":
+        if label is not None:
             yield label, each.get("Name", "")
 
 

@@ -80,11 +80,11 @@ def _changed(study: Study, change: Change) -> Study:
 
 
 def with_ratio(tissue: Tissue, ratio: float) -> Tissue:
-    """Return tissue with the same Poisson's ratio for all labels, including unlisted labels."""
+    """Return tissue with the same Poisson's ratio for all labels, also without a table."""
     if tissue.labels is None:
         return tissue
     known = tissue.materials
-    added = [default_material(label, known) for label in unlisted(tissue.labels, known)]
+    added = [default_material(label, ()) for label in unlisted(tissue.labels, ()) if not known]
     return replace(tissue, materials=tuple(replace(row, poisson=ratio) for row in (*known, *added)))
 
 

@@ -13,6 +13,8 @@ from napari_hmrf.tissue.row_table import Row, RowTable
 #: Key of the package's entry in a layer's metadata.
 METADATA = "napari-hmrf"
 
+#: Key of the order of the axes in the file of a layer, see `Frame.file_axes`.
+FILE_AXES = "file_axes"
 #: Role of a layer in a study.
 Role = Literal["image", "tissue", "boundary"]
 IMAGE: Literal["image"] = "image"
@@ -33,6 +35,13 @@ def metadata_of(layer: Any) -> Mapping[str, Any]:
 def add_metadata(layer: Any, **facts: Any) -> None:
     """Add values to the package's entry in the metadata of a layer."""
     layer.metadata = {**layer.metadata, METADATA: {**metadata_of(layer), **facts}}
+
+
+def file_axes_of(layer: Any) -> tuple[int, ...]:
+    """Return the axis of the image file for each axis of a layer; () if they were not reordered."""
+    axes = metadata_of(layer).get(FILE_AXES, ())
+    known = isinstance(axes, list | tuple) and sorted(axes) == [*range(int(layer.ndim))]
+    return tuple(axes) if known else ()
 
 
 def layer_metadata(

@@ -20,6 +20,7 @@ from napari_hmrf.layers.field_layer import field_layer, field_of, holds_field
 from napari_hmrf.layers.label_colours import boundary_colours
 from napari_hmrf.layers.metadata import (
     BOUNDARY,
+    FILE_AXES,
     IMAGE,
     METADATA,
     TISSUE,
@@ -32,6 +33,7 @@ from napari_hmrf.layers.pixel_copy import LayerCopies
 from napari_hmrf.layers.result_layers import layer_on
 from napari_hmrf.layers.slice_view import View, check_size, frame_of, plane_shape
 from napari_hmrf.solver.problem import grid_in_words
+from napari_hmrf.solver.volume_memory import STUDY, require_memory
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.study.study_model import BRIGHTNESS, StudyModel
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
@@ -176,6 +178,8 @@ class _Reader:
         self._reference = reference = request.layers[0]
         self._frame = frame_of(reference, request.view)
         self._shape = plane_shape(reference, self._frame)
+        with naming(image=reference):
+            require_memory(self._shape, STUDY)
         self._notes: list[str] = []
         if (skew := self._frame.skew) > _RIGHT_ANGLE:
             sheared = f"the pixels are sheared by {skew:.1f} degrees, but treated as rectangles"
@@ -379,6 +383,8 @@ def study_layers(study: Study) -> dict[str, Any]:
         """Create the layer of a part, with its name in the study or the default `name`."""
         name = study.names.get(part, name)
         known = layer_metadata(**what)[METADATA] if what else {}
+        if frame.file_axes:
+            known = {**known, FILE_AXES: frame.file_axes}
         layers[part] = Layer.create(*layer_on(frame, data, name, known, look, sort))
 
     if pictures.image is not None:

@@ -13,6 +13,7 @@ from napari_hmrf.errors import HmrfError, LayerError
 from napari_hmrf.field.drawn_slice import pixel_drawn, sliders_at
 from napari_hmrf.field.frame import Frame, as_tuples, is_flat
 from napari_hmrf.field.units import unit_factor, unit_name
+from napari_hmrf.layers.metadata import file_axes_of
 
 
 @dataclass(frozen=True)
@@ -143,6 +144,7 @@ def frame_of(layer: Any, view: View | None = None) -> Frame:
         units=tuple(map(unit_name, layer.units)),
         axis_labels=tuple(str(label) for label in layer.axis_labels),
         matrix=as_tuples(matrix),
+        file_axes=file_axes_of(layer),
         sliders=() if view is None else view.sliders_of(layer),
     )
 

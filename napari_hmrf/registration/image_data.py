@@ -51,6 +51,9 @@ _DAMPING = 1e-3
 #: Longest step of a site, as a fraction of the longest side of the image. A nearly singular
 #: precision next to pixels that do not count would otherwise lead to larger ones.
 _LONGEST_STEP = 0.25
+#: Sums below are nothing: single precision keeps no digits of products of windows' tails, so that
+#: the tensors of a black background would not be semidefinite.
+_NOTHING = 1e-35
 # Fraction of pixels whose brightness is outside of the range of an image.
 _BEYOND_RANGE = 0.01
 _TINY = 1e-12
@@ -161,6 +164,10 @@ class ImageLevel:
             return smoothed(weight * one * other, _WINDOW, self._checkpoint)
 
         sums = _parallel(collected, [*pairs, *((axis, axes) for axis in range(axes))])
+        seen = sum(found for (i, j), found in zip(pairs, sums, strict=False) if i == j)
+        seen = seen > _NOTHING * max(1.0, 1 / scale)
+        for found in sums:
+            found *= seen
         precision = np.empty((*self.shape, axes, axes))
         for (i, j), found in zip(pairs, sums, strict=False):
             precision[..., i, j] = precision[..., j, i] = scale * found
@@ -244,7 +251,8 @@ def reduced(
         this share.
     """
     low, high = np.quantile(image[counted], (_BEYOND_RANGE, 1 - _BEYOND_RANGE))
-    scaled = np.where(counted, (image - low) / max(float(high - low), _TINY), 0)
+    span = float(high - low) or float(np.ptp(image[counted])) or 1.0
+    scaled = np.where(counted, (image - low) / span, 0)
     share = counted.astype(np.float32)
     every = (slice(None, None, step),) * image.ndim
     if width > 0:

@@ -21,6 +21,7 @@ from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.problem import Problem, as_numbers, as_stiffness, checked_spacing
 from napari_hmrf.solver.solve import CancelFlag, Progress
 from napari_hmrf.solver.uncertain_landmarks import Landmarks, typical_stiffness
+from napari_hmrf.solver.volume_memory import REGISTRATION, require_memory
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -111,6 +112,8 @@ def register(
     >>> np.round(found.displacement[32, 32]).tolist()
     [0.0, 3.0]
     """
+    if np.shape(fixed)[-1:] not in ((3,), (4,)):  # no colours
+        require_memory(np.shape(fixed), REGISTRATION, "fixed")
     first, second = _as_grey("fixed", fixed), _as_grey("moving", moving)
     axes = first.ndim
     if second.ndim != axes:
@@ -180,17 +183,28 @@ def registered(
     matrix, moving_spacing
         As in a `Registration`.
     """
-    found = match(
-        problem,
-        prior,
-        images,
-        unit=unit,
-        smoothness=smoothness,
-        start=start,
-        progress=progress,
-        cancel=cancel,
-        show=show,
-    )
+    try:
+        found = match(
+            problem,
+            prior,
+            images,
+            unit=unit,
+            smoothness=smoothness,
+            start=start,
+            progress=progress,
+            cancel=cancel,
+            show=show,
+        )
+    except ProblemError as error:
+        if error.field == "confidence":  # no pixel counts on a level
+            raise _nothing_in_common("fixed") from None
+        if error.field != "precision":
+            raise
+        raise ProblemError(
+            "smoothness",
+            f"is {smoothness:g}, so small that tissue has no stiffness beside the images. Pass a "
+            "larger number; 1 is usual.",
+        ) from None
     return Registration(
         solution=found.solution,
         matrix=matrix,
@@ -342,14 +356,20 @@ def _counted(masks: Any, fixed: FloatArray, moving: FloatArray) -> tuple[BoolArr
     return counted[0], counted[1]
 
 
+def _nothing_in_common(name: str) -> ProblemError:
+    return ProblemError(
+        name,
+        "and the other image have no pixels in common, or too few, after the alignment. Check the "
+        "positions of both images, the alignment and the masks.",
+    )
+
+
 def check_contrast(images: Images) -> None:
     """Raise an error for an image without structure, which cannot be registered."""
     pairs = zip(("fixed", "moving"), (images.fixed, images.moving), images.counted, strict=True)
     for name, image, mask in pairs:
         if not mask.any():
-            raise ProblemError(
-                name, "and the other image have no common pixels after the alignment. Check it."
-            )
+            raise _nothing_in_common(name)
         if np.ptp(image[mask]) == 0:
             raise ProblemError(
                 name, "has the same brightness everywhere. Choose an image that shows structure."

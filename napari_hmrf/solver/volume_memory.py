@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import math
+import sys
+from collections.abc import Callable
 
 import psutil
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.backends import volume_caches
 from napari_hmrf.solver.problem import Problem, grid_in_words
+
+if sys.platform != "win32":
+    import resource
 
 #: Bytes per voxel that a solve needs in addition to the problem.
 ORDINARY = 112
@@ -18,9 +23,18 @@ IN_DOUBLE = 256
 LOADED = 48
 #: Additional bytes per voxel for the responses to a drift, and while they are computed.
 DRIFTING = 224
+#: Bytes per voxel of a study from its image to its result: the interpretation of its tissue and
+#: boundary conditions, the problem and the solve, for a volume full of tissue; measured as 183.
+STUDY = 190
+#: Bytes per voxel of a moved image, while it is computed.
+WARP = 60
+#: Bytes per voxel of a registration of two volumes, from the images to the result.
+REGISTRATION = 850
 # Fraction of the free memory that a solve may use.
 _FREE = 0.9
 _GIB = 2.0**30
+#: Words for every n-th voxel.
+_EVERY = {2: "second", 3: "third"}
 
 
 def check_memory(problem: Problem) -> None:
@@ -34,25 +48,80 @@ def check_memory(problem: Problem) -> None:
     bytes_per_voxel = ORDINARY if problem.loads is None else ORDINARY + LOADED
     if problem.landmarks is not None and problem.landmarks.drift:
         bytes_per_voxel = ORDINARY + LOADED + DRIFTING
-    if not problem.is_volume or fits(problem.shape, bytes_per_voxel):
+    _require("stiffness", problem.shape, bytes_per_voxel, _available)
+
+
+def require_memory(shape: tuple[int, ...], bytes_per_voxel: float, name: str = "image") -> None:
+    """Raise an error if the work on a volume will not fit into memory, before any of its arrays.
+
+    The memory that this process uses already counts as free, because a new study replaces the last.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Number of pixels along each axis; images are always accepted.
+    bytes_per_voxel : float
+        `STUDY` or `REGISTRATION`.
+    name : str
+        Name of the image or its file, for the error message.
+
+    Raises
+    ------
+    ProblemError
+        As for `check_memory`.
+    """
+    _require(name, shape, bytes_per_voxel, lambda: _available() + _used())
+
+
+def _require(
+    name: str, shape: tuple[int, ...], bytes_per_voxel: float, free: Callable[[], float]
+) -> None:
+    needed = bytes_per_voxel * math.prod(shape)
+    if len(shape) != 3 or needed <= _FREE * free():
         return
     volume_caches.clear_all()
-    if fits(problem.shape, bytes_per_voxel):
+    allowed = _FREE * free()
+    if needed <= allowed:
         return
-    needed, free = (
-        bytes_per_voxel * math.prod(problem.shape),
-        _FREE * psutil.virtual_memory().available,
-    )
-    side = int((free / bytes_per_voxel) ** (1 / 3))
+    side = int((allowed / bytes_per_voxel) ** (1 / 3))
+    step = math.ceil((needed / allowed) ** (1 / 3))
+    every = _EVERY.get(step, f"{step}th")
     raise ProblemError(
-        "stiffness",
-        f"is a volume, {grid_in_words(problem.shape)}, which needs {needed / _GIB:.2g} GiB of "
-        f"memory to solve, but only {free / _GIB:.2g} GiB are free. A volume of {side} x "
-        f"{side} x {side} voxels would fit: crop the volume, or use every second voxel along each "
-        "axis, which needs an eighth of the memory.",
+        name,
+        f"is a volume, {grid_in_words(shape)}, which needs {needed / _GIB:.2g} GiB of memory, but "
+        f"only {allowed / _GIB:.2g} GiB are free. A volume of {side} x {side} x {side} voxels "
+        f"would fit: crop the volume, or use every {every} voxel along each axis.",
     )
+
+
+def make_room(shape: tuple[int, ...], bytes_per_voxel: float) -> None:
+    """Delete the caches of earlier solves if the next work on a volume would not fit beside them.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Number of pixels along each axis.
+    bytes_per_voxel : float
+        Bytes that the work needs.
+    """
+    if len(shape) == 3 and not fits(shape, bytes_per_voxel):
+        volume_caches.clear_all()
 
 
 def fits(shape: tuple[int, ...], bytes_a_voxel: float) -> bool:
     """Return whether enough memory is free for a given number of bytes per voxel of a grid."""
-    return bool(bytes_a_voxel * math.prod(shape) <= _FREE * psutil.virtual_memory().available)
+    return bool(bytes_a_voxel * math.prod(shape) <= _FREE * _available())
+
+
+def _available() -> float:
+    """Return the number of bytes that this process can allocate, within its limit."""
+    free = float(psutil.virtual_memory().available)
+    if sys.platform != "win32":
+        limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+        if limit != resource.RLIM_INFINITY:
+            free = min(free, max(limit - psutil.Process().memory_info().vms, 0))
+    return free
+
+
+def _used() -> float:
+    return float(psutil.Process().memory_info().rss)

@@ -30,6 +30,7 @@ from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, solve
 from napari_hmrf.solver.uncertain_landmarks import typical_stiffness
 from napari_hmrf.solver.unconnected import left_at_rest, scraps
+from napari_hmrf.solver.volume_memory import STUDY, require_memory
 from napari_hmrf.study.landmark_data import (
     landmark_caveats,
     landmark_data,
@@ -49,7 +50,6 @@ from napari_hmrf.tissue.boundary_rules import (
     Material,
     boundary_images,
     default_material,
-    default_rule,
     poisson_image,
     sliding_parts,
     stiffness_image,
@@ -169,6 +169,8 @@ class Ground:
         """
         _check_study(study)
         _refuse_other_axes(study)
+        _refuse_thin(study)
+        require_memory(study.grid.shape, STUDY, study.named("image", "tissue"))
         refuse_unknown(study)
         image = study.pictures.image
         if image is not None and image.dtype.kind == "f" and not np.isfinite(image).any():
@@ -180,7 +182,7 @@ class Ground:
         base, tissue, notes = ground.base, ground.stiffness > 0, [*ground.notes]
         checkpoint()
         notes += filter(None, [_unknown_pixels(study)])
-        notes += _observe(study, base)
+        _observe(study, base)
         ignored = int(((base.confidence > 0).any(axis=-1) & ~tissue).sum())
         if ignored:
             pixels = "1 boundary pixel" if ignored == 1 else f"{ignored} boundary pixels"
@@ -610,6 +612,7 @@ def solve_study(
         stated = ground.statement()
         ground.refuse_motionless(stated)
         notes = (*ground.unused(stated), *ground.notes_on(stated))
+        del ground  # its images need as much memory as the problem
     require_kind(Statement, "stated", stated, "build_problem(study)")
     if stated.study is None or not stated.study.same_as(study):
         raise ArgumentError(
@@ -687,6 +690,18 @@ def _refuse_other_axes(study: Study) -> None:
             )
 
 
+def _refuse_thin(study: Study) -> None:
+    """Raise an error for a volume of one slice, in which elastic tissue has no elements."""
+    shape = study.grid.shape
+    if len(shape) == 3 and 1 in shape and isinstance(study.prior, Elastic):
+        across = shape.index(1)
+        raise ProblemError(
+            study.named("image", "tissue"),
+            f"is a volume with one voxel along axis {across}. Pass the slice as an image, for "
+            f"example data.squeeze({across}) on Grid.from_image(image, slice=0, axis={across}).",
+        )
+
+
 def _tissue_of(study: Study) -> Ground:
     """Return the ground of a study with its tissues, but without boundary conditions."""
     tissue, image, shape, prior = study.tissue, study.pictures.image, study.grid.shape, study.prior
@@ -694,7 +709,8 @@ def _tissue_of(study: Study) -> Ground:
     labels, around = np.full(shape, OTHER, dtype=np.int32), np.zeros(shape, dtype=bool)
     if tissue.labels is not None:
         known, name = tissue.materials, study.named("tissue", "image")
-        new = [default_material(label, known) for label in unlisted(tissue.labels, known)]
+        missing = [] if known else unlisted(tissue.labels, known)
+        new = [default_material(label, known) for label in missing]
         notes += [
             f"label {row.label} of '{name}' is not in the table: stiffness {row.stiffness:g} is "
             "assumed"
@@ -754,25 +770,19 @@ def _unknown_pixels(study: Study) -> str:
     return "" if image is None else unknown_values(image, len(study.grid.shape), name)
 
 
-def _observe(study: Study, base: Canvas) -> list[str]:
-    """Write the boundary conditions of a study to a blank canvas; return notes about them."""
-    motion, notes = study.motion, []
+def _observe(study: Study, base: Canvas) -> None:
+    """Write the boundary conditions of a study to a blank canvas."""
+    motion = study.motion
     if motion.observed is not None and motion.confidence is not None:
         c, by_component = motion.confidence, motion.confidence.ndim > len(base.shape)
         base.confidence[...] = c if by_component else c[..., None]
         base.observed[...] = np.where(base.confidence != 0, motion.observed, 0)
     if motion.labels is not None:
-        new = [label for label in unlisted(motion.labels, motion.rules) if label != 0]
-        rules = [*motion.rules, *map(default_rule, new)]
-        notes = [
-            f"label {label} of '{study.named('boundary')}' is not in the table and was held fixed"
-            for label in new
-        ]
         with study.naming(drawn=False):
-            y, c = boundary_images(motion.labels, rules, spacing=base.spacing)
+            y, c = boundary_images(motion.labels, motion.rules, spacing=base.spacing)
         painted = motion.labels != 0
         base.observed[painted], base.confidence[painted] = y[painted], c[painted]
-        for rule in rules:
+        for rule in motion.rules:
             under = motion.labels == rule.label
             if rule.action == "slide":
                 base.slides[under], base.observed[under, 0] = True, rule.amount
@@ -780,4 +790,3 @@ def _observe(study: Study, base: Canvas) -> list[str]:
                 base.removed[under] = True
     with study.naming(drawn=False):
         check_reach(base.observed, base.spacing)
-    return notes

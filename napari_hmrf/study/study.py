@@ -20,7 +20,12 @@ from napari_hmrf.arguments import real, reals, refuse_unless, require_kind, show
 from napari_hmrf.errors import ArgumentError, ProblemError, naming
 from napari_hmrf.field.brightness import luminance
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.field.units import UNKNOWN_UNITS, has_same_spacing
+from napari_hmrf.field.units import (
+    UNKNOWN_UNITS,
+    has_same_spacing,
+    is_length,
+    may_be_stiffness,
+)
 from napari_hmrf.solver.model_names import model_name
 from napari_hmrf.solver.optimizers import ICM, Multigrid, Optimizer
 from napari_hmrf.solver.priors import Prior
@@ -84,7 +89,7 @@ class Grid:
         If the shape or the spacing is invalid, or if the place has a different number of axes, a
         different spacing or a different unit of length.
     ArgumentError
-        If the unit is not a string.
+        If the unit is not one of length.
     """
 
     shape: tuple[int, ...]
@@ -104,6 +109,7 @@ class Grid:
         object.__setattr__(self, "shape", tuple(map(int, sizes)))
         object.__setattr__(self, "spacing", checked_spacing(self.spacing, axes))
         require_kind(str, "unit", self.unit, '"mm"')
+        refuse_unless(is_length(self.unit), "unit", self.unit, 'a unit of length, such as "mm"')
         place = self.place
         if place is None:
             return
@@ -227,8 +233,8 @@ class Tissue:
     Attributes
     ----------
     labels : ndarray of int, shape ([D,] H, W), optional
-        Labels of the tissues; whole numbers stored as floats are converted to integers. A label
-        without a row in `materials` gets a default material.
+        Labels of the tissues; whole numbers stored as floats are converted to integers. Each
+        label has a row in `materials`; without materials, all labels are equally stiff.
     materials : tuple of Material
         Materials of the labels.
     stiffness : ndarray, shape ([D,] H, W), optional
@@ -322,6 +328,8 @@ class Tissue:
         _check_arrays(self, "labels", "stiffness")
         _take_whole_labels(self)
         require_kind(str, "unit", self.unit, '"kPa"')
+        requirement = 'a unit of stiffness, such as "kPa"'
+        refuse_unless(may_be_stiffness(self.unit), "unit", self.unit, requirement)
         materials = tuple_of(Material, "materials", self.materials, '(Material(1, "brain", 3.0),)')
         object.__setattr__(self, "materials", materials)
         if self.curve is not None:
@@ -360,8 +368,7 @@ class Motion:
         If True, fix the outer edge of the tissue: tissue next to void or to the dark surroundings,
         and tissue at the edge of the image. The edges of holes remain free.
     labels : ndarray of int, shape ([D,] H, W), optional
-        Painted boundary labels. Each label has a row in `rules`; tissue under a label without a row
-        is fixed.
+        Painted boundary labels. Each label except 0 has a row in `rules`.
     rules : tuple of BoundaryRule
         Rules of the labels.
     observed : ndarray, shape ([D,] H, W, n), optional

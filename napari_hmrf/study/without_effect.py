@@ -22,6 +22,8 @@ from napari_hmrf.tissue.sliding import is_inner
 _LISTED = 4
 #: Actions of strokes that have no effect outside tissue; other strokes can change earlier marks.
 _HOLD_OR_MOVE = ("pin", "move", "expand", "slide", "remove")
+#: Actions that use the vector and the amount of a rule.
+_USES = {"vector": ("move", "pull"), "amount": ("expand", "press", "slide")}
 
 
 def asks_motion(problem: Problem) -> bool:
@@ -157,6 +159,11 @@ def rows_without_effect(study: Study, labels: npt.NDArray[Any] | None) -> Iterat
         if motion.labels is not None:
             where = f"'{study.named('boundary')}' has no such label"
         yield f"{_rows('rule', rules)} no effect: {where}"
+    for name, actions in _USES.items():
+        for rule in motion.rules:
+            if rule.action not in actions and np.any(getattr(rule, name)):
+                noun = f"the {name} of label {rule.label}"
+                yield f"{noun} has no effect: its action is '{rule.action}'"
     growing = _absent([row for row in study.tissue.materials if row.grows], labels)
     if growing:
         where = "there are no tissue labels"

@@ -159,6 +159,11 @@ class BoundaryRule:
         value.
     name : str
         Name for display.
+
+    Raises
+    ------
+    ArgumentError
+        If the action is unknown.
     """
 
     label: int
@@ -168,6 +173,11 @@ class BoundaryRule:
     amount: float = 0.0
     confidence: tuple[float, ...] = (1.0, 1.0)
     name: str = ""
+
+    def __post_init__(self) -> None:
+        actions = get_args(Action)
+        requirement = f"one of {', '.join(map(repr, actions))}"
+        refuse_unless(is_one_of(self.action, actions), "action", self.action, requirement)
 
 
 def default_material(label: int, known: Iterable[Material]) -> Material:
@@ -387,7 +397,7 @@ def _read(
     if missing:
         raise ProblemError(
             field,
-            f"has labels without a {'rule' if kind is BoundaryRule else 'stiffness'}: "
+            f"has labels without a {'rule' if kind is BoundaryRule else 'material'}: "
             f"{', '.join(missing[:10])}. Add each label to the table, or erase its pixels.",
         )
     return image, present, table
@@ -405,11 +415,6 @@ def _check_rule(rule: BoundaryRule, n: int) -> None:
     each = "(row, col)" if n == 2 else "(row, col) or (plane, row, col)"
     in_range = all(0 <= value <= 1 for value in confidence)
     for name, right, needed in (
-        (
-            "action",
-            is_one_of(rule.action, get_args(Action)),
-            '"fixed", "move", "expand", "press", "pull", "slide" or "remove"',
-        ),
         ("vector", all(map(math.isfinite, vector)), f"a number for each of {each}"),
         ("amount", math.isfinite(real(rule.amount)), "a number"),
         ("confidence", in_range, f"a value from 0 to 1 for each of {each}"),

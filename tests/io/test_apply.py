@@ -89,9 +89,7 @@ def test_labels_moved_as_an_image_cause_a_note(solved, tmp_path, capsys):
     write_image(tmp_path / "labels.png", ImageFile(labels))
     files = str(tmp_path / "labels.png"), "-o", str(tmp_path / "out")
     assert main(["apply", str(path), *files]) == 0
-    said = (
-        "note: labels.png contains only a few whole numbers, up to 8, and was interpolated; if the"
-    )
+    said = "note: labels.png contains only 9 whole numbers, up to 8, and was interpolated; if the"
     assert said in capsys.readouterr().out
 
 

@@ -62,8 +62,7 @@ SEGMENTS = (
     b"NRRD0004\ntype: unsigned char\ndimension: 3\nsizes: 2 2 2\nencoding: raw\n"
     b"Segment0_ID:=Segment_1\nSegment0_LabelValue:=1\nSegment0_Layer:=0\nSegment0_Name:=tibia\n"
     b"Segment1_LabelValue:=3\nSegment1_Layer:=0\nSegment1_Name:=muscle\n"
-    b"Segment2_LabelValue:=1\nSegment2_Layer:=1\nSegment2_Name:=of another layer\n"
-    b"Segment3_LabelValue:=4\nSegment3_Layer:=2\nSegment3_Name:=of a third layer\n\n"
+    b"Segment1_Color:=1 0 0\n\n"
 ) + bytes(8)
 
 

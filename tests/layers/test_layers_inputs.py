@@ -112,17 +112,13 @@ def test_unchanged_arrows_give_an_equal_study():
     assert not first.same_as(study_from_layers(wanted, copies=copies))
 
 
-def test_a_label_without_a_row_has_default_values_and_causes_a_note():
+@pytest.mark.parametrize(("part", "name"), [("tissue", "Tissue"), ("boundary", "Boundary")])
+def test_a_label_without_a_row_is_refused(part, name):
     wanted = request()
-    wanted.tissue.data[5, 5] = 9
-    wanted.boundary.data[6, 6] = 7
-    inputs = read_layers(wanted)
-    assert inputs.problem.stiffness[5, 5] == 20
-    np.testing.assert_array_equal(inputs.problem.confidence[6, 6], [1, 1])
-    assert inputs.notes == (
-        "label 9 of 'Tissue' is not in the table: stiffness 20 is assumed",
-        "label 7 of 'Boundary' is not in the table and was held fixed",
-    )
+    getattr(wanted, part).data[5, 5] = 9
+    with pytest.raises(ProblemError) as error:
+        read_layers(wanted)
+    assert error.value.field == name
 
 
 def test_anisotropic_pixels_set_the_spacing_and_lengths_retain_their_unit():

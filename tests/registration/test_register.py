@@ -21,6 +21,8 @@ from napari_hmrf import (
 from napari_hmrf.fields import count_folds, green_lagrange_strain
 from napari_hmrf.landmarks import Landmarks
 from napari_hmrf.registration import register
+from napari_hmrf.registration.image_data import ImageLevel
+from napari_hmrf.solver.precision import checked_precision
 
 SIZE = 96
 
@@ -237,6 +239,41 @@ def test_progress_never_decreases_and_cancel_stops(pair):
 
 
 ONE = np.ones((16, 16))
+
+
+def test_a_black_background_is_no_observation():
+    """The tails of a window underflow in black, where they observe nothing."""
+    shape = (64, 64)
+    inside = np.hypot(*(np.indices(shape) - 31.5)) < 12
+    tails = ndimage.gaussian_filter(inside.astype(np.float32), 1.5, truncate=12)
+    image = np.where(inside, texture(shape=shape) + 1, tails).astype(np.float32)
+    known = np.ones(shape, bool)
+    level = ImageLevel(image, image, (known, known), 1, (1.0, 1.0), lambda: None)
+    moved = np.zeros((*shape, 2), np.float32)
+    moved[..., 0] = 5
+    precision = level.linear(moved, 1.0).precision
+    assert checked_precision(precision, known) is not None
+    assert (precision == 0).all(axis=(-2, -1)).any()
+
+
+@pytest.mark.parametrize("unit", [1e-30, 1e30])
+def test_the_unit_of_brightness_does_not_matter(pair, found, unit):
+    first, second = (np.float32(unit) * image.astype(np.float32) for image in pair[:2])
+    again = register(first, second, spacing=1)
+    np.testing.assert_allclose(again.displacement, found.displacement, atol=0.01)
+
+
+def test_a_smoothness_near_zero_and_images_apart_are_named(pair):
+    with pytest.raises(ProblemError) as refused:
+        register(*pair[:2], spacing=1, smoothness=1e-12)
+    assert refused.value.field == "smoothness"
+    corner = np.eye(3)
+    corner[:2, 2] = SIZE - 1.5
+    with pytest.raises(ProblemError) as refused:
+        register(*pair[:2], spacing=1, initial=corner)
+    assert refused.value.field in ("fixed", "moving")
+
+
 INVALID = {
     "has 3 axes": ((ONE, np.ones((16, 16, 16))), {}),
     "same brightness everywhere": ((ONE, ONE), {}),

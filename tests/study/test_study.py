@@ -290,7 +290,6 @@ PLACE = Frame.at((0.5, 0.8), ("millimeter",) * 2)
         ((0.8, 0.5), "mm", PLACE),
         ((0.5, 0.8), "um", PLACE),
         ((0.5, 0.8), "pixel", PLACE),
-        ((0.5, 0.8), "second", PLACE),
         ((0.5, 0.8), "mm", Frame.at((0.5, 0.8), ("pixel",) * 2)),
         ((0.5, 0.8), "mm", Frame.at((2.0, 0.5, 0.8), ("mm",) * 3, volume=True).plane_at(1, 3)),
     ],

@@ -87,7 +87,11 @@ def test_rules_and_growth_of_missing_labels_are_named():
     rules = BoundaryRule(2, "move", vector=(0, 1)), BoundaryRule(7, "move", vector=(0, 1))
     said = notes(a_study(labels=labels, rules=rules))
     assert "the rule of label 7 has no effect: 'boundary' has no such label" in said
-    materials = Material(1, "brain", 3.0), Material(9, "tumour", 8.0, growth=0.2)
+    materials = (
+        Material(0, "air", 0.0),
+        Material(1, "brain", 3.0),
+        Material(9, "tumour", 8.0, growth=0.2),
+    )
     said = notes(a_study(PULL, materials=materials))
     assert "the growth of label 9 ('tumour') has no effect: 'tissue' has no such label" in said
     with pytest.raises(ProblemError, match=r"nothing moves; the growth of label 9 \('tumour'\)"):

@@ -162,7 +162,7 @@ def growing_tumour_in_oblong_pixels_turned():
 
 
 def bone_between_walls():
-    """A rigid bone in muscle, a wall that moves only along columns, and a label without a row."""
+    """A rigid bone in muscle, and a wall that moves only along columns."""
     viewer = ViewerModel()
     shape = (48, 56)
     tissue = np.ones(shape, np.uint8)
@@ -173,7 +173,10 @@ def bone_between_walls():
     boundary[4:, :3] = 1
     boundary[10:40, -3:] = 2
     table = of_tissue(
-        material(0, "air", 0.0), material(1, "muscle", 3.0, 0.49), material(2, "bone", "rigid")
+        material(0, "air", 0.0),
+        material(1, "muscle", 3.0, 0.49),
+        material(2, "bone", "rigid"),
+        material(7, "tissue 7", 3.0, 0.49),
     )
     rules = of_boundary(
         rule(1, "fixed", "wall"),

@@ -249,7 +249,6 @@ def test_an_error_names_boundary_labels_without_a_rule():
     ("rule", "field", "said"),
     [
         (BoundaryRule(0, "fixed"), "observed", "label 0. Use a label above 0"),
-        (BoundaryRule(1, "push"), "observed", "label 1 with the action 'push'. Use \"fixed\", "),
         (
             BoundaryRule(1, "move", vector=(np.nan, 0), name="rim"),
             "observed",

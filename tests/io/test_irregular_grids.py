@@ -1,0 +1,425 @@
+"""Tests of image files whose pixels are not a regular grid, or whose header can be misread.
+
+Each file is read as it is, or refused; none is read as another image.
+"""
+
+import gzip
+import json
+import re
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import tifffile
+
+from napari_hmrf import FileFormatError, Grid, ProblemError
+from napari_hmrf.contributions import open_scan
+from napari_hmrf.fields import read_field
+from napari_hmrf.io import case
+from napari_hmrf.io.apply import FieldFile, _note_on_labels, apply_field
+from napari_hmrf.io.case import as_labels, read_case
+from napari_hmrf.io.case_options import Case
+from napari_hmrf.io.images import is_scan, read_image
+from napari_hmrf.io.itk_decoder import Refused, check_regular
+from napari_hmrf.io.nifti import _HEADER
+from napari_hmrf.io.segmentation_tables import read_label_names
+from napari_hmrf.landmarks import read_points
+from napari_hmrf.solver.solution import Provenance, Solution
+
+sitk = pytest.importorskip("SimpleITK")
+
+AXIAL, SAGITTAL = (1, 0, 0, 0, 1, 0), (0, 1, 0, 0, 0, -1)
+SHAPE = (5, 6, 7)
+
+
+def write_slice(path, position, direction=AXIAL, slope=b"", value=3):
+    """Write a DICOM file with one slice of a series."""
+    image = sitk.GetImageFromArray(np.full((6, 7), value, np.int16))
+    along = {"0020|0032": position, "0020|0037": direction, "0028|0030": (1, 1)}
+    texts = {key: "\\".join(map(str, values)) for key, values in along.items()}
+    texts |= {"0008|0060": "CT", "0020|000e": "1.2.3", "0020|000d": "1.2", "0020|0052": "1.2.4"}
+    texts |= {"0008|0018": f"1.2.5.{path.stem[1:]}", "0020|0013": path.stem[1:]}
+    writer = sitk.ImageFileWriter()
+    writer.KeepOriginalImageUIDOn()
+    for key, text in texts.items():
+        image.SetMetaData(key, text)
+    writer.SetFileName(str(path))
+    writer.Execute(image)
+    if slope:  # SimpleITK does not write integers with a slope that is none
+        tag = b"\x28\x00\x53\x10"
+        before, after = tag + b"\x02\x00\x00\x001 ", tag + b"\x04\x00\x00\x00" + slope
+        path.write_bytes(path.read_bytes().replace(before, after))
+
+
+def write_series(folder, positions, **others):
+    folder.mkdir()
+    for number, position in enumerate(positions):
+        write_slice(folder / f"s{number}.dcm", position, **others)
+    return folder
+
+
+def along_z(*depths):
+    return [(0, 0, depth) for depth in depths]
+
+
+IRREGULAR = {
+    "a missing slice": along_z(0, 2, 4, 8, 10),
+    "a tilted gantry": [(0, 0.5 * number, 2 * number) for number in range(5)],
+    "two volumes": along_z(0, 2, 4, 0, 2, 4),
+}
+
+
+@pytest.mark.parametrize("positions", IRREGULAR.values(), ids=IRREGULAR)
+def test_slices_that_are_no_regular_volume_are_refused(tmp_path, positions):
+    folder = write_series(tmp_path / "ct", positions)
+    with pytest.raises(FileFormatError, match="ct"):
+        read_image(folder)
+    with pytest.raises(FileFormatError):
+        open_scan(str(folder))(str(folder))
+
+
+def test_a_scout_beside_a_volume_is_refused_by_its_name(tmp_path):
+    folder = write_series(tmp_path / "ct", along_z(0, 2, 4, 6))
+    write_slice(folder / "s9.dcm", (0, 0, 0), SAGITTAL)
+    with pytest.raises(FileFormatError, match=r"s9\.dcm"):
+        read_image(folder)
+
+
+def test_a_volume_is_read_in_the_order_of_its_positions_beside_other_files(tmp_path):
+    folder = tmp_path / "ct"
+    folder.mkdir()
+    for number, depth in enumerate((4, 0, 6, 2)):
+        write_slice(folder / f"s{number}.dcm", (0, 0, depth), value=depth)
+    (folder / ".DS_Store").write_bytes(b"Mac")
+    image = read_image(folder)
+    assert image.place.spacing[0] == 2
+    assert image.pixels[:, 0, 0].tolist() == [0, 2, 4, 6]
+    assert is_scan(folder)
+
+
+def test_every_slice_has_its_own_slope(tmp_path):
+    folder = tmp_path / "pet"
+    folder.mkdir()
+    for number, slope in enumerate((b"1.00", b"2.50", b"0.50")):
+        write_slice(folder / f"s{number}.dcm", (0, 0, number), slope=slope)
+    assert read_image(folder).pixels[:, 0, 0].tolist() == [3, 7.5, 1.5]
+
+
+def write_frames(path, depths):
+    """Write a DICOM file of several frames at depths of one digit."""
+    sitk.WriteImage(sitk.GetImageFromArray(np.ones((len(depths), 6, 7), np.uint8)), str(path))
+    texts = iter(depths)
+    placed = re.sub(rb"(?<=0\\0\\)\d ", lambda _: b"%d " % next(texts), path.read_bytes())
+    path.write_bytes(placed)
+    return path
+
+
+def test_frames_that_are_not_in_the_order_of_their_positions_are_refused(tmp_path):
+    assert read_image(write_frames(tmp_path / "a.dcm", (0, 3, 6, 9))).pixels.shape == (4, 6, 7)
+    for depths in ((0, 6, 3, 9), (0, 3, 3, 6), (0, 3, 9, 12)):
+        with pytest.raises(FileFormatError, match=r"b\.dcm.*(order|position|apart)"):
+            read_image(write_frames(tmp_path / "b.dcm", depths))
+
+
+def test_the_distances_of_slices_may_be_rounded():
+    normal, names = (0, 0, 1), [f"s{n}" for n in range(6)]
+    check_regular(along_z(0, 0.6, 1.3, 1.9, 2.5, 3.1), normal, (1, 1), names)
+    with pytest.raises(Refused, match="s3 and s4"):
+        check_regular(along_z(0, 0.6, 1.2, 1.8, 3.1, 3.7), normal, (1, 1), names)
+
+
+def nifti(path, sform=None, codes=(1, 1), pixels=None, **fields):
+    """Write a NIfTI-1 file with a header of our own; the qform is that of the zooms 1, 1, 2."""
+    pixels = np.ones(SHAPE, np.float32) if pixels is None else pixels
+    header = np.zeros((), _HEADER)
+    vectors = pixels.ndim == 4
+    sizes = (*SHAPE[::-1], 1, 3) if vectors else SHAPE[::-1]
+    header["length"], header["start"], header["magic"] = 348, 352, b"n+1"
+    header["sizes"][: 1 + len(sizes)] = (len(sizes), *sizes)
+    header["sizes"][1 + len(sizes) :] = 1
+    header["pixel"], header["bits"] = {4: 16, 8: 64}[pixels.itemsize], 8 * pixels.itemsize
+    header["intent"] = 1007 if vectors else 0
+    header["zooms"] = (1, 1, 1, 2, 1, 1, 1, 1)
+    header["by_rotation"], header["by_matrix"] = codes
+    header["matrix"] = np.diag([1.0, 1, 2, 1])[:3] if sform is None else sform
+    for name, value in fields.items():
+        header[name] = value
+    order = np.moveaxis(pixels, -1, 0) if vectors else pixels
+    raw = bytearray(header.tobytes() + bytes(4) + order.tobytes())
+    raw[123] = 2  # millimetres
+    path.write_bytes(gzip.compress(bytes(raw)) if path.suffix == ".gz" else bytes(raw))
+    return path
+
+
+SHIFTED = np.array([[1.0, 0, 0, 3], [0, 1, 0, 0], [0, 0, 2, 0]])
+SHEARED = np.array([[1.0, 0, 0, 0], [0, 1, 0.5, 0], [0, 0, 2, 0]])
+PLACES = {
+    "one place": (None, (1, 2), True),
+    "two places": (SHIFTED, (1, 2), False),
+    "two places, of which all programs use the second": (SHIFTED, (2, 1), True),
+    "sheared": (SHEARED, (0, 1), False),
+    "sheared, with another place": (SHEARED, (1, 1), False),
+}
+
+
+def as_nibabel(sform, codes):
+    """Return an image with the attributes of nibabel that are read."""
+    qform, placed = np.diag([1.0, 1, 2, 1]), np.vstack([sform, [0, 0, 0, 1]])
+
+    class Header(dict):
+        def get_xyzt_units(self):
+            return "mm", "sec"
+
+        def get_qform(self):
+            return qform
+
+        def get_sform(self):
+            return placed
+
+    header = Header(qform_code=codes[0], sform_code=codes[1])
+    return SimpleNamespace(affine=placed, dataobj=np.zeros(SHAPE[::-1]), header=header)
+
+
+@pytest.mark.parametrize(("sform", "codes", "is_clear"), PLACES.values(), ids=PLACES)
+def test_a_header_that_states_two_places_or_a_shear_is_refused(tmp_path, sform, codes, is_clear):
+    sform = np.diag([1.0, 1, 2, 1])[:3] if sform is None else sform
+    path, image = nifti(tmp_path / "a.nii.gz", sform, codes), as_nibabel(sform, codes)
+    if is_clear:
+        matrix = np.array(Grid.from_image(path).place.matrix)
+        at = np.array(Grid.from_image(image).place.matrix) @ [1, 2, 3, 1]
+        np.testing.assert_allclose(matrix @ [3, 2, 1, 1], at, atol=1e-5)
+        return
+    with pytest.raises(FileFormatError, match=r"a\.nii\.gz"):
+        read_image(path)
+    with pytest.raises(ProblemError) as error:
+        Grid.from_image(image)
+    assert error.value.field == "image"
+
+
+def test_files_that_itk_does_not_read_are_refused_with_their_reason(tmp_path):
+    (tmp_path / "b.nii").write_bytes(nifti(tmp_path / "a.nii.gz").read_bytes())
+    with pytest.raises(FileFormatError, match="compressed"):
+        read_image(tmp_path / "b.nii")
+    (tmp_path / "c.nii").write_bytes((540).to_bytes(4, "little") + bytes(600))
+    with pytest.raises(FileFormatError, match="NIfTI-2"):
+        read_image(tmp_path / "c.nii")
+
+
+@pytest.mark.parametrize("dtype", ["f4", "f8"])
+def test_nan_and_infinite_voxels_stay_so(tmp_path, dtype):
+    pixels = np.arange(np.prod(SHAPE), dtype=dtype).reshape(SHAPE)
+    pixels[1, 2, 3], pixels[4, 5, 6] = np.nan, -np.inf
+    read = read_image(nifti(tmp_path / "a.nii", pixels=pixels)).pixels
+    np.testing.assert_array_equal(read, pixels)
+
+
+def test_fields_of_spm_and_niftyreg_are_read_as_displacements(tmp_path):
+    """Their vectors are positions or displacements along right, anterior, superior."""
+    u = np.random.default_rng(0).normal(size=(*SHAPE, 3)).astype(np.float32)
+    lps = (-1, -1, 1)
+    index = np.moveaxis(np.indices(SHAPE), 0, -1)[..., ::-1] * (1, 1, 2)
+    itk = read_field(nifti(tmp_path / "itk.nii", pixels=(u * lps).astype(np.float32)))
+    positions = (index + u).astype(np.float32)
+    for name, parameter, vectors in (
+        (b"NREG_TRANS", 0, positions),
+        (b"NREG_TRANS", 1, u),
+        (b"Mapping", 0, positions),
+    ):
+        path = nifti(tmp_path / "other.nii", pixels=vectors, kind=name, parameter=parameter)
+        np.testing.assert_allclose(read_field(path).field.vectors, itk.field.vectors, atol=1e-5)
+    for fields in ({"kind": b"NREG_TRANS", "parameter": 2}, {"matrix": SHEARED, "by_rotation": 0}):
+        with pytest.raises(FileFormatError, match=r"other\.nii"):
+            read_field(nifti(tmp_path / "other.nii", pixels=u, **fields))
+    u[0, 0, 0, 0] = np.nan
+    with pytest.raises(FileFormatError, match="NaN"):
+        read_field(nifti(tmp_path / "other.nii", pixels=u))
+
+
+def test_the_unit_of_an_nrrd_counts(tmp_path):
+    image = sitk.GetImageFromArray(np.ones(SHAPE, np.int16))
+    image.SetSpacing((500.0, 500.0, 2000.0))
+    path = tmp_path / "a.nrrd"
+    sitk.WriteImage(image, str(path))
+    head, _, rest = path.read_bytes().partition(b"\n\n")
+    path.write_bytes(head + b'\nspace units: "um" "um" "um"\n\n' + rest)
+    assert read_image(path).place.spacing == pytest.approx((2.0, 0.5, 0.5))
+    path.write_bytes(head + b'\nspace units: "um" "mm" "s"\n\n' + rest)
+    with pytest.raises(FileFormatError, match="units"):
+        read_image(path)
+
+
+def test_a_segmentation_in_layers_is_refused(tmp_path):
+    image = sitk.GetImageFromArray(np.ones((*SHAPE, 3), np.uint8), isVector=True)
+    path = tmp_path / "a.seg.nrrd"
+    for number, layer in enumerate(("0", "1")):
+        image.SetMetaData(f"Segment{number}_LabelValue", "1")
+        image.SetMetaData(f"Segment{number}_Name", f"organ {number}")
+        image.SetMetaData(f"Segment{number}_Layer", layer)
+    sitk.WriteImage(image, str(path))
+    for read in (read_image, read_label_names):
+        with pytest.raises(FileFormatError, match="layers"):
+            read(path)
+
+
+def write_tiff(path, axes, sizes=(), unit="um"):
+    shape = {"Z": 4, "C": 3, "T": 3, "Y": 8, "X": 9}
+    facts = {"axes": axes}
+    if sizes:
+        facts |= {"spacing": sizes[0]} | ({"unit": unit} if unit else {})
+    resolution = {"resolution": (1 / sizes[-1], 1 / sizes[-2])} if sizes else {}
+    pixels = np.ones([shape[axis] for axis in axes], np.uint16)
+    tifffile.imwrite(path, pixels, imagej=True, metadata=facts, **resolution)
+    return path
+
+
+@pytest.mark.parametrize("axes", ["CYX", "TYX"])
+def test_channels_and_times_are_no_volume(tmp_path, axes):
+    path = write_tiff(tmp_path / "cells.tif", axes)
+    for read in (Grid.from_image, lambda path: read_case(Case(path))):
+        with pytest.raises(ProblemError) as error:
+            read(path)
+        assert error.value.field == "cells.tif"
+    assert read_case(Case(path, slice=1)).grid.shape == (8, 9)
+    assert Grid.from_image(path, slice=1).shape == (8, 9)
+
+
+@pytest.mark.parametrize(("sizes", "unit"), [((2.5, 0.5, 0.5), "um"), ((2.5, 1, 1), "")])
+def test_a_stack_of_flat_voxels_without_a_place_is_refused(tmp_path, sizes, unit):
+    path = write_tiff(tmp_path / "cells.tif", "ZYX", sizes, unit)
+    with pytest.raises(ProblemError) as error:
+        read_case(Case(path))
+    assert error.value.field == "cells.tif"
+    cubes = write_tiff(tmp_path / "cubes.tif", "ZYX", (0.5, 0.5, 0.5))
+    study = read_case(Case(cubes))
+    assert study.grid.unit == "pixel"
+    assert any("pixels of 0.5 x 0.5 x 0.5 um" in note for note in study.notes)
+
+
+def test_landmarks_in_micrometres_are_not_read_as_pixels(tmp_path):
+    path = write_tiff(tmp_path / "cells.tif", "YX", (0.5, 0.5))
+    marks = tmp_path / "marks.csv"
+    marks.write_text("Pt-0,true,2,2,3,2\n")
+    with pytest.raises(ProblemError) as error:
+        read_case(Case(path, boundary=marks))
+    assert error.value.field == "marks.csv"
+
+
+@pytest.mark.parametrize("unit", ["mm", "um", "m", ["mm", "UCUM", "millimeter"]])
+def test_points_of_slicer_are_read_in_their_unit(tmp_path, unit):
+    factor = {"um": 1e3, "m": 1e-3}.get(str(unit), 1.0)
+    points = [{"position": [factor * 1.0, factor * 2.0, factor * 3.0]}]
+    markups = {"coordinateSystem": "LPS", "coordinateUnits": unit, "controlPoints": points}
+    path = tmp_path / "a.mrk.json"
+    path.write_text(json.dumps({"markups": [markups]}))
+    np.testing.assert_allclose(read_points(path).points, [[3, 2, 1]])
+    markups["coordinateUnits"] = "parsec per second"
+    path.write_text(json.dumps({"markups": [markups]}))
+    with pytest.raises(FileFormatError, match="unit"):
+        read_points(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("Pt;true;1;2;3;4\n", "semicolons"),
+        ("Pt\ttrue\t1\t2\t3\t4\n", "tabs"),
+        ('Pt,true,"1,5",2,3,4\n', "decimal point"),
+        ("Pt,true,Infinity,2,3,4\n", "Infinity"),
+    ],
+)
+def test_other_tables_of_landmarks_are_refused_with_their_reason(tmp_path, text, reason):
+    path = tmp_path / "a.csv"
+    path.write_text(text)
+    with pytest.raises(FileFormatError, match=reason):
+        read_points(path)
+
+
+def solution_of(displacement, frame=None, spacing=(1.0, 1.0)):
+    tissue = np.ones(displacement.shape[:-1], bool)
+    run = Provenance("cpu", "here")
+    return Solution(displacement, np.zeros(1), (), tissue, tuple(spacing), run, frame=frame)
+
+
+STORED = {"PIR": (1, 2, 0), "SAR": (2, 1, 0), "LPS": (0, 1, 2)}
+
+
+def write_scan(path, order):
+    """Write a volume of 5 x 6 x 7 voxels of 2 x 1 x 1 mm, with its axes in another order."""
+    image = sitk.GetImageFromArray(np.ones(SHAPE, np.float32))
+    image.SetSpacing((1, 1, 2))
+    image.SetOrigin((3, 4, 5))
+    sitk.WriteImage(sitk.PermuteAxes(image, order), str(path))
+    return path
+
+
+@pytest.mark.parametrize("order", STORED.values(), ids=STORED)
+def test_landmarks_along_the_axes_of_a_file_move_as_they_are_solved(tmp_path, order):
+    """BigWarp stores landmarks along the axes of the file, in any orientation of the scan."""
+    scan = write_scan(tmp_path / "scan.nii.gz", order)
+    at, to = np.array([3.0, 2.0, 4.0]), np.array([3.0, 3.0, 4.0])  # x, y, z from the first voxel
+    stored = [",".join(map(str, place[list(order)])) for place in (at, to)]
+    marks = tmp_path / "marks.csv"
+    marks.write_text(f"Pt-0,true,{stored[0]},{stored[1]}\n")
+    study = read_case(Case(scan, boundary=marks))
+    (mark,) = study.motion.drawing.marks
+    np.testing.assert_allclose(mark.source, (2, 2, 3), atol=1e-4)
+    np.testing.assert_allclose(mark.target, (2, 3, 3), atol=1e-4)
+    moved = np.zeros((*SHAPE, 3), np.float32)
+    moved[..., 1] = 1.0
+    solution = solution_of(moved, frame=study.grid.place.as_dict(), spacing=study.grid.spacing)
+    apply_field(FieldFile.of(solution), marks, tmp_path / "moved.csv", labels=False)
+    expected = to[list(order)][::-1]
+    np.testing.assert_allclose(read_points(tmp_path / "moved.csv").points, [expected], atol=1e-4)
+
+
+def test_labels_beyond_32_bits_are_refused():
+    with pytest.raises(ProblemError) as error:
+        as_labels(np.array([[0.0, 3e9]]), Path("atlas.nii"))
+    assert error.value.field == "atlas.nii"
+
+
+def test_many_labels_moved_as_an_image_cause_a_note(tmp_path):
+    labels = np.repeat(np.arange(0, 3000, 30, dtype=np.int16), 8)[:800].reshape(20, 40)
+    tifffile.imwrite(tmp_path / "atlas.tif", labels)
+    field = FieldFile.of(solution_of(np.zeros((20, 40, 2), np.float32)))
+    applied = apply_field(field, tmp_path / "atlas.tif", tmp_path / "moved.tif", labels=False)
+    assert "100 whole numbers" in applied.note
+    scan = np.random.default_rng(0).integers(0, 900, (20, 40, 1)).astype(np.int16)
+    assert not _note_on_labels(scan, "scan.nii")
+
+
+@pytest.mark.parametrize("across", [0, 1, 2])
+def test_a_volume_of_one_slice_is_solved_as_this_slice(tmp_path, across):
+    """Scanners and programs store a slice as 1 x N x M, N x 1 x M or N x M x 1."""
+    pixels = np.arange(np.prod(SHAPE), dtype=np.float32).reshape(SHAPE)
+    image = sitk.GetImageFromArray(pixels.take([1], axis=across))
+    image.SetSpacing((1, 1, 2))
+    image.SetOrigin((3, 4, 5))
+    sitk.WriteImage(image, str(tmp_path / "slice.nii.gz"))
+    at, to = np.array([2.0, 2.0, 2.0]), np.array([3.0, 3.0, 4.0])  # x, y, z from the first voxel
+    at[2 - across] = to[2 - across] = 0
+    (tmp_path / "marks.csv").write_text(f"a,true,{','.join(map(str, [*at, *to]))}\n")
+    study = read_case(Case(tmp_path / "slice.nii.gz", boundary=tmp_path / "marks.csv"))
+    np.testing.assert_array_equal(study.pictures.image, pixels.take(1, axis=across))
+    (mark,) = study.motion.drawing.marks
+    sizes = np.array((2, 1, 1))
+    for stored, solved in ((at, mark.source), (to, mark.target)):
+        np.testing.assert_allclose(np.delete(stored[::-1] / sizes, across), solved, atol=1e-4)
+        world = np.array(study.grid.place.matrix) @ [0, *solved, 1]
+        np.testing.assert_allclose(world[:3], np.add(stored[::-1], (5, 4, 3)), atol=1e-4)
+
+
+def test_a_file_beyond_the_memory_is_refused_from_its_header(tmp_path, monkeypatch):
+    sitk.WriteImage(sitk.GetImageFromArray(np.ones(SHAPE, np.uint8)), str(tmp_path / "a.nii.gz"))
+    shapes = []
+
+    def refuse(shape, *_):
+        shapes.append(shape)
+        raise ProblemError("a.nii.gz", "is too large.")
+
+    monkeypatch.setattr(case, "require_memory", refuse)
+    monkeypatch.setattr(case, "read_image", None)
+    with pytest.raises(ProblemError):
+        read_case(Case(tmp_path / "a.nii.gz"))
+    assert shapes == [SHAPE]
