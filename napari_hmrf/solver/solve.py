@@ -50,7 +50,7 @@ from napari_hmrf.solver.solution import Provenance, Solution
 from napari_hmrf.solver.staged_progress import StagedProgress
 from napari_hmrf.solver.unconnected import left_at_rest, scraps
 from napari_hmrf.solver.volume_memory import check_memory
-from napari_hmrf.solver.warm_start import Initial, combine_solutions
+from napari_hmrf.solver.warm_start import Initial, combine_solutions, nearest_to_targets
 
 Progress = Callable[[Monitor], None]
 _log = logging.getLogger("napari_hmrf")
@@ -384,7 +384,7 @@ def _solution_of(
     of_prior = dict(prior.parameters)
     if problem.is_volume:
         of_prior.pop("plane", None)  # a volume has no plane
-    return Solution(
+    solution = Solution(
         displacement=displacement,
         energy=outcome.energy,
         levels=outcome.levels,
@@ -411,6 +411,7 @@ def _solution_of(
         else None,
         notes=tuple(filter(None, (rigid_caveat(problem, given),))),
     )
+    return solution if initial is None else nearest_to_targets(solution, initial)
 
 
 def _run(

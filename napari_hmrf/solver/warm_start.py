@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -78,6 +79,48 @@ def combine_solutions(initial: Initial, problem: Problem) -> WarmStart:
     latest = solutions[0].reach
     unfinished = latest is not None and latest.stopped
     return WarmStart(displacements, shares, problem.unit, deviation / problem.unit, unfinished)
+
+
+def nearest_to_targets(solution: Solution, earlier: Initial) -> Solution:
+    """Return the solution of a large motion that is closest to its targets.
+
+    A solve that continues an earlier one may end farther from its targets, because tissue buckles
+    another way. Growth that was completed counts first, then the distance of the farthest site from
+    its target, then the distance from equilibrium.
+
+    Parameters
+    ----------
+    solution : Solution
+        Latest solution.
+    earlier : Solution or sequence of Solution
+        Earlier solutions; those of another problem or prior are ignored.
+
+    Returns
+    -------
+    Solution
+        `solution`, or an earlier solution that is closer. The latter is marked as stopped only if
+        `solution` is, because a larger budget would not lead further otherwise.
+    """
+    best = solution
+    for each in (earlier,) if isinstance(earlier, Solution) else earlier:
+        if _shortfall(each) < _shortfall(best) and _is_same_problem(each, solution):
+            best = each
+    if best is solution or best.reach is None or solution.reach is None:
+        return best
+    return replace(best, reach=replace(best.reach, stopped=solution.reach.stopped))
+
+
+def _shortfall(solution: Solution) -> tuple[float, float, float]:
+    """Return how far a solution of large motion is from its growth, targets and equilibrium."""
+    reach = solution.reach
+    return (0.0, 0.0, 0.0) if reach is None else (-reach.grown, reach.missing, reach.unbalanced)
+
+
+def _is_same_problem(one: Solution, other: Solution) -> bool:
+    """Return whether two solutions on one grid have the same problem and prior."""
+    first, second = one.provenance, other.provenance
+    same_prior = first.parameters.get("prior") == second.parameters.get("prior")
+    return same_prior and first.inputs == second.inputs
 
 
 class _Blocks:
