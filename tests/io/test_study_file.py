@@ -18,6 +18,7 @@ from damaged import STUDIES as KEPT
 
 from napari_hmrf import (
     ICM,
+    ArgumentError,
     Arrow,
     BoundaryRule,
     Drawing,
@@ -244,6 +245,12 @@ def test_a_held_patch_in_the_header_of_an_earlier_file_is_read(tmp_path):
         path, tmp_path / "earlier.study", header=as_npy(np.array(json.dumps(header)))
     )
     assert read_study(earlier).study.motion.drawing == study.motion.drawing
+
+
+@pytest.mark.parametrize("path", ["", ".", "folder/..", "a\0b"])
+def test_a_path_that_names_no_file_is_refused(path):
+    with pytest.raises(ArgumentError, match="path must be the name of a file"):
+        write_study(path, by_held_patches(2))
 
 
 @pytest.mark.parametrize("size", [0, 4355, 4357])
