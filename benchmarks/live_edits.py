@@ -6,12 +6,12 @@
 Even-numbered sequences start with a random problem (`random_problems.py`). The other sequences
 start with a body of mild tissue with prescribed edges, as in typical use. Patches are pulled,
 dragged in small steps and released; confidence, stiffness, Poisson's ratio and the penalty change;
-and edits are undone. Every result of the live solver, which starts from earlier results, is
-compared with a cold solve of the same problem. A violation is a difference that exceeds the sum of
-the two reported errors, or a refusal by only one of the two solves. A refusal is not a violation if
-the exact solution explains it: the solution is not unique, or double precision cannot resolve it.
-Results that take minutes are counted as late; the user can cancel them. Exits with 1 if there are
-violations.
+tissue is removed, added and grows; and edits are undone. Every result of the live solver, which
+starts from earlier results, is compared with a cold solve of the same problem. A violation is a
+difference that exceeds the sum of the two reported errors, or a refusal by only one of the two
+solves. A refusal is not a violation if the exact solution explains it: the solution is not unique,
+or double precision cannot resolve it. Results that take minutes are counted as late; the user can
+cancel them. Exits with 1 if there are violations.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ from trust import why_refused
 
 from napari_hmrf import ElasticPrior, LiveSolver, Multigrid, Problem, SeilerPrior, solve
 from napari_hmrf.errors import ConvergenceError, HmrfError, ProblemError
+from napari_hmrf.loads import growth
 from napari_hmrf.solver.live_solver import TOLERANCE, Update
 
 #: Tolerance of cold solves, in pixels.
@@ -44,8 +45,19 @@ GRACE = 1e-9
 PATIENCE = 120.0
 _EXPLAINED, _LATE = "one refuses, rightly", "late"
 _FEWEST, _MOST = 3, 12
-_KINDS = ("pull", "move", "let go", "confidence", "stiffness", "penalty", "poisson", "undo")
-_SHARES = (0.14, 0.4, 0.05, 0.08, 0.1, 0.06, 0.04, 0.13)
+_SHARES = {
+    "pull": 0.14,
+    "move": 0.3,
+    "let go": 0.05,
+    "confidence": 0.07,
+    "stiffness": 0.08,
+    "penalty": 0.05,
+    "poisson": 0.04,
+    "remove": 0.06,
+    "add": 0.04,
+    "growth": 0.06,
+    "undo": 0.11,
+}
 _PAGE = """# Live edits against cold solves
 
 The live solver starts each solve from its earlier results. `make edits` compares its answers with
@@ -145,7 +157,7 @@ def states_of(start: State, dice: np.random.Generator) -> Iterator[tuple[str, St
     pull = np.zeros(2)
     yield "begin", state
     for _ in range(int(dice.integers(_FEWEST, _MOST))):
-        kind = str(dice.choice(_KINDS, p=_SHARES))
+        kind = str(dice.choice([*_SHARES], p=[*_SHARES.values()]))
         if kind == "undo":
             back = int(dice.integers(1, 4))
             state = history[-1 - min(back, len(history) - 1)]
@@ -173,6 +185,7 @@ def _edited(
 ) -> State:
     """Return the state after an edit."""
     problem, prior = state
+    loads = problem.loads
     y, c, m = (
         np.array(each, dtype=np.float64)
         for each in (problem.observed, problem.confidence, problem.stiffness)
@@ -189,9 +202,15 @@ def _edited(
     elif kind == "penalty":
         penalty = float(10 ** dice.uniform(-2, 3))
         prior = replace(prior, penalty=penalty)
+    elif kind in ("remove", "add"):
+        place = _patch(dice, problem)
+        m[place] = 0 if kind == "remove" else np.where(m > 0, m, np.median(m[m > 0]))[place]
+    elif isinstance(prior, ElasticPrior) and kind == "growth":
+        place = np.where(_patch(dice, problem), dice.uniform(-0.2, 0.3), 0)
+        loads = growth(place) if loads is None else loads + growth(place)
     elif isinstance(prior, ElasticPrior):
         prior = replace(prior, poisson=float(dice.choice([0.0, 0.3, 0.45, 0.49])))
-    return State(Problem(y, c, m, spacing=problem.spacing), prior)
+    return State(Problem(y, c, m, spacing=problem.spacing, loads=loads), prior)
 
 
 def judge(seed: int, sequence: int) -> list[Answer]:

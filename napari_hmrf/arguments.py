@@ -8,6 +8,7 @@ import os
 import reprlib
 from collections.abc import Iterable, Mapping, Sequence, Set, Sized
 from numbers import Real
+from pathlib import Path
 from types import UnionType
 from typing import Any, get_args
 
@@ -146,9 +147,11 @@ def _kinds(kind: type | UnionType) -> str:
 
 
 def checked_path(path: Any) -> str:
-    """Convert a path to str; raise `ArgumentError` if the value is not a path."""
-    refuse_unless(isinstance(path, str | os.PathLike), "path", path, "the name of a file")
-    return str(os.fsdecode(path))
+    """Convert a path to str; raise `ArgumentError` if the value does not name a file."""
+    text = os.fsdecode(path) if isinstance(path, str | os.PathLike) else ""
+    names_file = Path(text).name not in ("", "..")
+    refuse_unless(names_file and "\0" not in text, "path", path, "the name of a file")
+    return text
 
 
 def nearest_word(

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from pydantic import TypeAdapter
 
 from napari_hmrf import array_file
-from napari_hmrf.arguments import require_kind
+from napari_hmrf.arguments import checked_path, require_kind
 from napari_hmrf.array_file import Invalid, Kind
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.field.frame import Frame
@@ -107,7 +107,7 @@ def write_study(
     Raises
     ------
     ArgumentError
-        If `study` is not a Study, or `solution` is not a Solution.
+        If `study` is not a Study, `solution` is not a Solution, or `path` does not name a file.
     ProblemError
         If the shape, spacing or place of the solution differs from that of the study.
     OSError
@@ -119,7 +119,7 @@ def write_study(
     if solution is not None:
         require_kind(Solution, "solution", solution, "the result of solve_study()")
         _refuse_other_grid(study.grid, solution)
-    target = Path(path)
+    target = Path(checked_path(path))
     if not target.suffix:
         target = target.with_name(target.name + SUFFIX)
     return array_file.write(target, STUDY_FORMAT, _Content(study, solution, image, overlay=overlay))

@@ -42,7 +42,7 @@ Float64Array = npt.NDArray[np.float64]
 _STRAIN = 0.1
 #: Largest error of the most likely field, in pixels.
 _TOLERANCE = 1e-3
-#: Largest error of a deviation, relative to the median length of its displacements.
+#: Largest error of a deviation, relative to the root mean square length of its displacements.
 _ACCURACY = 0.01
 
 

@@ -25,7 +25,7 @@ from typing import Any, ClassVar, NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.arguments import require_flag
+from napari_hmrf.arguments import is_whole, refuse_unless, require_flag
 from napari_hmrf.errors import Cancelled, ConvergenceError, ProblemError
 from napari_hmrf.posterior.field_data import FieldData
 from napari_hmrf.posterior.pair_data import ImagePairData
@@ -219,10 +219,11 @@ def fit(
     """
     check_arguments(problem=problem, prior=prior, backend=backend, progress=progress, cancel=cancel)
     require_flag("load", load)
+    given = {"stiffness": stiffness, "growth": growth, "poisson": poisson}
+    wanted = {kind: _named_labels(kind, numbers) for kind, numbers in given.items()}
     numbers = checked_labels(labels, problem)
     bare = variant_of(problem, precision=None, landmarks=None)
     tissue = _Tissue(bare, _checked_prior(bare, prior))
-    wanted = {"stiffness": stiffness, "growth": growth, "poisson": poisson}
     levels: Sequence[FitData]
     if images is None:
         levels = [FieldData.of(problem, measured, sd, landmarks)]
@@ -687,10 +688,19 @@ def _ratios_of(prior: Elastic, shape: tuple[int, ...]) -> Float64Array:
     return np.broadcast_to(np.asarray(prior.poisson, dtype=np.float64), shape)
 
 
+def _named_labels(kind: str, numbers: Any) -> tuple[int, ...]:
+    """Return the labels that an argument names; raise `ArgumentError` if it names none."""
+    right = isinstance(numbers, Iterable) and not isinstance(numbers, str | bytes)
+    found = tuple(numbers) if right else ()
+    right = right and all(is_whole(each) and not isinstance(each, bool) for each in found)
+    refuse_unless(right, kind, numbers, "the labels to fit, such as [2]")
+    return tuple(map(int, found))
+
+
 def _properties(
     tissue: _Tissue,
     labels: npt.NDArray[Any],
-    wanted: Mapping[str, Iterable[int]],
+    wanted: Mapping[str, tuple[int, ...]],
     load: bool,
 ) -> list[_Property]:
     """Return the unknown properties, in the order of `Fit.covariance`.
@@ -709,11 +719,11 @@ def _properties(
             if not sites.any():
                 raise ProblemError(kind, f"names label {number}, which has no soft tissue.")
             if kind == "stiffness":
-                found.append(_Stiffness(int(number), sites))
+                found.append(_Stiffness(number, sites))
             elif kind == "growth":
-                found.append(_Growth(int(number), sites, problem))
+                found.append(_Growth(number, sites, problem))
             else:
-                found.append(_Poisson(int(number), sites, prior))
+                found.append(_Poisson(number, sites, prior))
     force = None if problem.loads is None else problem.loads.force
     if load and force is None:
         raise ProblemError("load", "is to be fitted, but the problem has no forces. Add loads.")

@@ -49,7 +49,8 @@ class ForcedMultigrid(Multigrid):
     force : ndarray, planes
         Force on each component, in the unit of the model; not changed.
     accuracy : float, optional
-        Largest accepted error, relative to the median length of the displacements of free tissue.
+        Largest accepted error, relative to the root mean square length of the displacements of free
+        tissue.
     """
 
     force: Planes = field(kw_only=True, repr=False, compare=False)
@@ -120,8 +121,11 @@ class ForcedMultigrid(Multigrid):
 
 
 def typical_size(displacements: npt.NDArray[np.floating]) -> float:
-    """Return the median length of displacements, shape (n, axes), or the mean if it is 0."""
+    """Return the root mean square length of displacements, shape (n, axes).
+
+    The median would be 0 if a force moves only the smaller one of two pieces of tissue.
+    """
     if not len(displacements):
         return 0.0
-    sizes = np.sqrt(np.einsum("ij,ij->i", displacements, displacements))
-    return float(np.median(sizes)) or float(sizes.mean())
+    square = np.einsum("ij,ij->", displacements, displacements, dtype=np.float64)
+    return math.sqrt(float(square) / len(displacements))

@@ -19,7 +19,8 @@ from napari_hmrf.solver.solve import CancelFlag, solve
 
 Floats = npt.NDArray[np.floating]
 
-#: Tolerance for forces of a known size, relative to the median length of their displacements.
+#: Tolerance for forces of a known size, relative to the root mean square length of their
+#: displacements.
 _TOLERANCE = 0.03
 #: Largest error of a response to forces of unknown size, in the same unit. It is smaller, because
 #: the error estimate of the second run is less cautious than that of a run from rest.
@@ -89,8 +90,8 @@ class Response:
         force : ndarray, shape (H, W, 2) or (D, H, W, 3)
             Forces in the unit of `Loads`; they may have any size.
         tolerance : float, optional
-            Largest error, in the unit of `spacing`; by default 0.3 % of the median length of the
-            displacements, whose size takes one more cycle to find.
+            Largest error, in the unit of `spacing`; by default 0.3 % of the root mean square length
+            of the displacements, whose size takes one more cycle to find.
 
         Returns
         -------

@@ -360,8 +360,12 @@ class _Patches:
 
     def __init__(self, problem: Problem, side: float) -> None:
         self._tissue = problem.tissue
-        # The number of sites is odd, so that the box is centred.
-        self._sizes = [1 + 2 * max(0, math.floor(side / step / 2)) for step in problem.spacing]
+        # The number of sites is odd, so that the box is centred. No box needs to be larger than one
+        # that contains all sites from each of them.
+        self._sizes = [
+            1 + 2 * min(math.floor(side / step / 2), count - 1)
+            for step, count in zip(problem.spacing, problem.shape, strict=True)
+        ]
         self._share = self._smooth(problem.tissue.astype(np.float32))
 
     def _smooth(self, values: npt.NDArray[Any]) -> Float32Array:

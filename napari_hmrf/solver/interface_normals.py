@@ -4,12 +4,16 @@ The interface passes between neighbouring sites of different labels. The midpoin
 are at most half a pixel from the true surface. A quadratic surface is therefore fitted to the
 midpoints around each site, in the widest window in which it stays near all of them: a plane is
 recognized over tens of pixels, and a curved surface is fitted in a narrower window.
+
+The normals do not depend on the order of the labels or of the axes: a window is a ball, of which
+all points count, and a fit has no preferred direction in the plane of the interface.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -28,15 +32,20 @@ _REACH = 2.0
 #: Largest distance of a midpoint from a fitted surface, in pixels. A midpoint is up to half a pixel
 #: from the true surface; the rest is the error of the fit.
 _NEAR = 0.85
-#: Weight of a penalty on the curvature, which only keeps the fit of a few midpoints regular.
+#: Weight of a penalty on the squared norm of the matrix of curvatures. It only keeps the fit of a
+#: few midpoints regular.
 _PENALTY = 1.0
 #: Standard deviation of the blur that gives the first estimate, in pixels.
 _BLUR = 2.0
 #: Standard deviation of the Gaussian mean of fitted normals, in pixels. It removes the jumps
 #: between windows of different width.
 _MEAN = 1.5
-# Number of midpoints per pixel of an interface, at most.
-_DENSITY = 2.0
+#: Radius of the Gaussian mean, in standard deviations.
+_MEAN_REACH = 3.0
+# Points this close to the edge of a window, relative to its radius, are outside of the window.
+_EDGE = 1e-9
+# Gradient of the blurred labels, per pixel, up to which it is rounding error.
+_FLAT = 1e-9
 # Number of frames of a fit.
 _FRAMES = 3
 # Number of sites that are fitted together, to limit the memory.
@@ -63,24 +72,21 @@ def interface_normals(
         Unit normal in space, from `first` to `second`.
     """
     size = np.asarray(spacing, np.float64) / max(spacing)
-    points = _midpoints(first, second) * size
+    points, at = _midpoints(first, second) * size, sites * size
     guess = _blurred_normals(first, second, sites, size)
     if not len(points):
         return guess  # the labels touch at corners only
-    at = sites * size
-    normals = guess.copy()
     tree, axes = scipy.spatial.cKDTree(points), first.ndim
+    flat = ~guess.any(axis=1)
+    guess[flat] = _thinnest_directions(points, tree, at[flat])
+    normals = guess.copy()
     todo = np.arange(len(at))
     for width in _WIDTHS[axes]:
         narrowest = width == _WIDTHS[axes][-1]
-        reach = _REACH * width
-        area = 2 * reach if axes == 2 else np.pi * reach**2
-        most = min(len(points), 8 + int(_DENSITY * area))
         left = []
         for start in range(0, len(todo), _TOGETHER):
             some = todo[start : start + _TOGETHER]
-            far, of = tree.query(at[some], k=np.arange(1, most + 1))
-            weight = np.where(far <= reach, np.exp(-0.5 * (far / width) ** 2), 0.0)
+            weight, of = _window(tree, at[some], width, _REACH)
             fitted, residual = _fit(points[of] - at[some, None], weight, guess[some])
             worst = np.abs(np.where(weight > 0, residual, 0.0)).max(axis=1)
             good = (worst <= _NEAR) | narrowest
@@ -91,6 +97,47 @@ def interface_normals(
             break
     normals *= np.where((normals * guess).sum(axis=1) < 0, -1, 1)[:, None]
     return _means(at, normals)
+
+
+def _window(
+    tree: Any, at: Float64Array, width: float, reach: float
+) -> tuple[Float64Array, npt.NDArray[np.intp]]:
+    """Return the Gaussian weights and the indices of all points of a tree near each position.
+
+    Parameters
+    ----------
+    tree : cKDTree
+    at : ndarray, shape (n, axes)
+        Positions.
+    width : float
+        Standard deviation of the weights.
+    reach : float
+        Radius of the window, in standard deviations.
+
+    Returns
+    -------
+    weight : ndarray, shape (n, k)
+        Weights; 0 where a window has fewer than k points.
+    of : ndarray of int, shape (n, k)
+        Indices of the points.
+    """
+    radius = reach * width * (1 - _EDGE)
+    most = max(1, int(tree.query_ball_point(at, radius, return_length=True).max(initial=0)))
+    far, of = tree.query(at, k=np.arange(1, most + 1), distance_upper_bound=radius)
+    return np.exp(-0.5 * (far / width) ** 2), np.minimum(of, tree.n - 1)
+
+
+def _thinnest_directions(points: Float64Array, tree: Any, at: Float64Array) -> Float64Array:
+    """Return the direction in which the points around each position extend least."""
+    made = np.empty_like(at)
+    narrowest = _WIDTHS[at.shape[1]][-1]
+    for start in range(0, len(at), _TOGETHER):
+        some = at[start : start + _TOGETHER]
+        weight, of = _window(tree, some, narrowest, _REACH)
+        relative = points[of] - some[:, None]
+        moments = (weight[..., None] * relative).swapaxes(1, 2) @ relative
+        made[start : start + _TOGETHER] = np.linalg.eigh(moments)[1][..., 0]
+    return made
 
 
 def _midpoints(first: Mask, second: Mask) -> Float64Array:
@@ -108,15 +155,14 @@ def _midpoints(first: Mask, second: Mask) -> Float64Array:
 def _blurred_normals(
     first: Mask, second: Mask, sites: npt.NDArray[np.intp], size: Float64Array
 ) -> Float64Array:
-    """Return the normals of the blurred labels at sites."""
+    """Return the normals of the blurred labels at sites; 0 where the blurred labels are flat."""
     difference = second.astype(np.float64) - first
     blurred = scipy.ndimage.gaussian_filter(difference, tuple(_BLUR / size), mode="nearest")
     where = tuple(sites.T)
     slopes = [np.gradient(blurred, step, axis=axis)[where] for axis, step in enumerate(size)]
     slope = np.stack(slopes, axis=-1)
     length = np.linalg.norm(slope, axis=1, keepdims=True)
-    slope[length[:, 0] == 0, 0] = 1.0
-    return slope / np.where(length == 0, 1.0, length)
+    return np.where(length > _FLAT, slope / np.maximum(length, _FLAT), 0.0)
 
 
 def _fit(
@@ -141,7 +187,9 @@ def _fit(
     """
     axes = relative.shape[2]
     pairs = list(itertools.combinations_with_replacement(range(axes - 1), 2))
-    penalty = np.diag([1e-9] * axes + [_PENALTY] * len(pairs))
+    # The coefficient of u_a u_b is the sum of two equal elements of the matrix of curvatures.
+    curvatures = [_PENALTY if a == b else _PENALTY / 2 for a, b in pairs]
+    penalty = np.diag([1e-9] * axes + curvatures)
     residual = np.zeros(weight.shape)
     for _ in range(_FRAMES):
         eye = np.broadcast_to(np.eye(axes), (len(normals), axes, axes))
@@ -161,15 +209,14 @@ def _fit(
 
 
 def _means(at: Float64Array, normals: Float64Array) -> Float64Array:
-    """Return Gaussian means of the normals of nearby sites."""
-    most = min(len(at), 24 if at.shape[1] == 2 else 64)
+    """Return Gaussian means of the normals of nearby sites, in which opposite normals are equal."""
     tree = scipy.spatial.cKDTree(at)
     means = np.empty_like(normals)
     for start in range(0, len(at), _TOGETHER):
-        far, of = tree.query(at[start : start + _TOGETHER], k=np.arange(1, most + 1))
-        weight = np.exp(-0.5 * (far / _MEAN) ** 2)
+        some = slice(start, start + _TOGETHER)
+        weight, of = _window(tree, at[some], _MEAN, _MEAN_REACH)
         # On the two sides of a fold, normals differ, and only similar normals are averaged.
-        alike = (normals[of] * normals[start : start + _TOGETHER, None]).sum(axis=-1)
-        weight *= np.maximum(alike, 0.0) ** 8
-        means[start : start + _TOGETHER] = (weight[..., None] * normals[of]).sum(axis=1)
+        alike = (normals[of] * normals[some, None]).sum(axis=-1)
+        weight *= np.sign(alike) * alike**8
+        means[some] = (weight[..., None] * normals[of]).sum(axis=1)
     return np.asarray(means / np.linalg.norm(means, axis=1, keepdims=True))

@@ -24,6 +24,7 @@ from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, check_arguments, run_here
 from napari_hmrf.solver.staged_progress import StagedProgress
+from napari_hmrf.solver.warm_start import nearest_to_targets
 
 #: Tolerance of a live solution, in pixels; smaller errors are not visible.
 TOLERANCE = 0.01
@@ -87,8 +88,7 @@ class Known(NamedTuple):
     solution : Solution
     is_answer : bool
         True to deliver the earlier solution without a solve. If False, the problem is solved, and
-        the earlier solution is delivered only if the budget ends this solve farther from its
-        targets.
+        the earlier solution is delivered only if this solve ends farther from its targets.
     """
 
     problem: Problem
@@ -323,8 +323,9 @@ class LiveSolver:
                 self._deliver_update(turn, problem, preview, final=False)
                 turn.patience = 0
             solution = solve(optimizer)
-            if known is not None and _is_better(known.solution, solution):
-                self._deliver_known(turn, known)
+            best = solution if known is None else nearest_to_targets(solution, known.solution)
+            if known is not None and best is not solution:
+                self._deliver_known(turn, known._replace(solution=best))
             else:
                 self._deliver_update(turn, problem, solution)
         except Cancelled:
@@ -402,14 +403,6 @@ class LiveSolver:
 def _has_preview(optimizer: Optimizer) -> TypeGuard[Multigrid]:
     """Return whether the optimizer has a smaller tolerance than a preview."""
     return isinstance(optimizer, Multigrid) and optimizer.tolerance < PREVIEW_TOLERANCE
-
-
-def _is_better(earlier: Solution, solution: Solution) -> bool:
-    """Return whether the budget ended a solve farther from its targets than an earlier one."""
-    one, other = earlier.reach, solution.reach
-    if one is None or other is None or not other.stopped:
-        return False
-    return one.missing <= other.missing
 
 
 def has_stopped(solution: Solution) -> bool:

@@ -13,12 +13,18 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from napari_hmrf.arguments import require_flag, shown
-from napari_hmrf.errors import ArgumentError, BackendError, Cancelled
+from napari_hmrf.errors import (
+    ArgumentError,
+    BackendError,
+    Cancelled,
+    ConvergenceError,
+    ProblemError,
+)
 from napari_hmrf.solver.backends import (
     BACKEND_NAMES,
     Choice,
@@ -26,13 +32,16 @@ from napari_hmrf.solver.backends import (
     host,
     open_backend,
 )
+from napari_hmrf.solver.backends.base import Backend
 from napari_hmrf.solver.backends.compile_cache import sets
 from napari_hmrf.solver.backends.compile_cache.loops import are_compiled
+from napari_hmrf.solver.backends.earlier_results import WarmStart
 from napari_hmrf.solver.backends.thread import STOPPED, compute_thread
 from napari_hmrf.solver.caveats import rigid_caveat
 from napari_hmrf.solver.drift import has_drift, solve_with_drift
 from napari_hmrf.solver.elasticity import Elasticity
 from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid, Optimizer
+from napari_hmrf.solver.optimizers.base import Outcome, Report
 from napari_hmrf.solver.preparation import loop_watch, prepare, provide_loops
 from napari_hmrf.solver.priors import Elastic, ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
@@ -41,7 +50,7 @@ from napari_hmrf.solver.solution import Provenance, Solution
 from napari_hmrf.solver.staged_progress import StagedProgress
 from napari_hmrf.solver.unconnected import left_at_rest, scraps
 from napari_hmrf.solver.volume_memory import check_memory
-from napari_hmrf.solver.warm_start import Initial, combine_solutions
+from napari_hmrf.solver.warm_start import Initial, combine_solutions, nearest_to_targets
 
 Progress = Callable[[Monitor], None]
 _log = logging.getLogger("napari_hmrf")
@@ -358,7 +367,7 @@ def _solution_of(
         prepare(device, job, optimizer, report)
         ready = time.perf_counter()
         with loop_watch(sets.HARDER, report):
-            outcome = optimizer.run(problem, prior, device, report, begin)
+            outcome = _run(optimizer, problem, prior, device, report, begin)
         name, renderer = device.name, device.renderer
     finally:
         device.close()
@@ -375,7 +384,7 @@ def _solution_of(
     of_prior = dict(prior.parameters)
     if problem.is_volume:
         of_prior.pop("plane", None)  # a volume has no plane
-    return Solution(
+    solution = Solution(
         displacement=displacement,
         energy=outcome.energy,
         levels=outcome.levels,
@@ -402,6 +411,22 @@ def _solution_of(
         else None,
         notes=tuple(filter(None, (rigid_caveat(problem, given),))),
     )
+    return solution if initial is None else nearest_to_targets(solution, initial)
+
+
+def _run(
+    optimizer: Optimizer,
+    problem: Problem,
+    prior: Prior,
+    device: Backend[Any],
+    report: Report,
+    begin: WarmStart | None,
+) -> Outcome:
+    """Run the schedule; a problem that fails from a warm start is solved from a cold start."""
+    if begin is not None:
+        with suppress(ProblemError, ConvergenceError):
+            return optimizer.run(problem, prior, device, report, begin)
+    return optimizer.run(problem, prior, device, report)
 
 
 class _Either:

@@ -20,6 +20,12 @@ Float64Array = npt.NDArray[np.float64]
 
 #: Range of standard deviations, in pixels. A smaller one should be prescribed.
 SD_RANGE = (1e-3, 1e6)
+# Range of typical strains, and of the extent and the stiffness of a patch.
+_STRAINS = (1e-9, 1e6)
+_EXTENTS = (1e-30, 1e30)
+# Largest precision of a landmark relative to the stiffness of the stiffest tissue. An observation
+# that is more certain should be prescribed.
+_MAX_WEIGHT = 1e12
 # Default extent of a patch, as a fraction of the longest side of the image.
 _PATCH = 0.1
 
@@ -54,12 +60,14 @@ class StrainScale:
     stiffness: float | None = None
 
     def __post_init__(self) -> None:
-        positive = 0 < real(self.strain) < math.inf
-        refuse_unless(positive, "strain", self.strain, "a positive number, such as 0.1")
-        positive = self.extent is None or 0 < real(self.extent) < math.inf
-        refuse_unless(positive, "extent", self.extent, "a positive length, or None")
-        positive = self.stiffness is None or 0 < real(self.stiffness) < math.inf
-        refuse_unless(positive, "stiffness", self.stiffness, "a positive stiffness, or None")
+        low, high = _STRAINS
+        right = low <= real(self.strain) <= high
+        refuse_unless(right, "strain", self.strain, f"from {low:g} to {high:g}, such as 0.1")
+        low, high = _EXTENTS
+        for name, kind in (("extent", "length"), ("stiffness", "stiffness")):
+            value = getattr(self, name)
+            right = value is None or low <= real(value) <= high
+            refuse_unless(right, name, value, f"a {kind} from {low:g} to {high:g}, or None")
 
     def energy(self, stiffness: npt.NDArray[Any], spacing: Sequence[float]) -> float:
         """Return the unit of energy: stiffness times length^n.
@@ -254,6 +262,16 @@ class Landmarks:
                 "landmarks",
                 f"have standard deviations from {self.sd.min():.3g} to {self.sd.max():.3g}. Use "
                 f"{SD_RANGE[0]:g} to {SD_RANGE[1]:g} pixels; prescribe what is more certain.",
+            )
+        stiffest = float(stiffness[np.isfinite(stiffness)].max(initial=0.0)) or 1.0
+        pixel = math.prod(spacing) ** (1 - 2 / len(spacing))
+        weight = float(self.precision(stiffness, spacing).max()) / (stiffest * pixel)
+        if weight > _MAX_WEIGHT:
+            raise ProblemError(
+                "landmarks",
+                f"weigh up to {weight:.2g} times as much as the stiffest tissue. Use a smaller "
+                "strain or extent of their StrainScale, or larger standard deviations; prescribe "
+                "what is more certain.",
             )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -80,11 +81,54 @@ def combine_solutions(initial: Initial, problem: Problem) -> WarmStart:
     return WarmStart(displacements, shares, problem.unit, deviation / problem.unit, unfinished)
 
 
+def nearest_to_targets(solution: Solution, earlier: Initial) -> Solution:
+    """Return the solution of a large motion that is closest to its targets.
+
+    A solve that continues an earlier one may end farther from its targets, because tissue buckles
+    another way. Growth that was completed counts first, then the distance of the farthest site from
+    its target, then the distance from equilibrium.
+
+    Parameters
+    ----------
+    solution : Solution
+        Latest solution.
+    earlier : Solution or sequence of Solution
+        Earlier solutions; those of another problem or prior are ignored.
+
+    Returns
+    -------
+    Solution
+        `solution`, or an earlier solution that is closer. The latter is marked as stopped only if
+        `solution` is, because a larger budget would not lead further otherwise.
+    """
+    best = solution
+    for each in (earlier,) if isinstance(earlier, Solution) else earlier:
+        if _shortfall(each) < _shortfall(best) and _is_same_problem(each, solution):
+            best = each
+    if best is solution or best.reach is None or solution.reach is None:
+        return best
+    return replace(best, reach=replace(best.reach, stopped=solution.reach.stopped))
+
+
+def _shortfall(solution: Solution) -> tuple[float, float, float]:
+    """Return how far a solution of large motion is from its growth, targets and equilibrium."""
+    reach = solution.reach
+    return (0.0, 0.0, 0.0) if reach is None else (-reach.grown, reach.missing, reach.unbalanced)
+
+
+def _is_same_problem(one: Solution, other: Solution) -> bool:
+    """Return whether two solutions on one grid have the same problem and prior."""
+    first, second = one.provenance, other.provenance
+    same_prior = first.parameters.get("prior") == second.parameters.get("prior")
+    return same_prior and first.inputs == second.inputs
+
+
 class _Blocks:
     """Observations and loads of a problem and of each solution, in blocks of values."""
 
     # Loads are scaled to the size of the displacements, so that both have similar weights. They
-    # are split into blocks, because the loads of a volume are large.
+    # are split into blocks, because the loads of a volume are large. Values in void are left out:
+    # no combination could match those of tissue that was removed.
 
     def __init__(self, problem: Problem, solutions: tuple[Solution, ...]) -> None:
         self._problem, self._solutions = problem, solutions
@@ -109,22 +153,32 @@ class _Blocks:
             return
         for arrays in self._loads:
             given = [array for array in arrays if array is not None]
-            largest = max(float(np.abs(array).max()) for array in given)
+            largest = max(map(self._largest, given))
             scale = self._largest_displacement / largest if largest > 0 else 0.0
-            for begin in range(0, given[0].size, _BLOCK_SIZE):
-                block = slice(begin, min(begin + _BLOCK_SIZE, given[0].size))
+            tissue = self._problem.tissue.reshape(-1)
+            count = given[0].size // tissue.size
+            sites = max(_BLOCK_SIZE // count, 1)
+            for begin in range(0, tissue.size, sites):
+                block = slice(begin, begin + sites)
+                mask = tissue[block]
                 target, *others = (
-                    np.zeros(block.stop - block.start)
+                    np.zeros(count * int(np.count_nonzero(mask)))
                     if array is None
-                    else scale * array.reshape(-1)[block].astype(np.float64)
+                    else scale * array.reshape(-1, count)[block][mask].astype(np.float64).ravel()
                     for array in arrays
                 )
                 yield target, others
 
+    def _largest(self, values: FloatArray) -> float:
+        """Return the largest absolute value in tissue, of values of shape (H, W, ...)."""
+        tissue = self._problem.tissue.reshape(-1, 1)
+        sizes = np.abs(values).reshape(len(tissue), -1)
+        return float(sizes.max(where=tissue, initial=0.0))
+
     @cached_property
     def _largest_displacement(self) -> float:
-        """Largest absolute value of any displacement component of any solution."""
-        return max(float(np.abs(each.displacement).max()) for each in self._solutions)
+        """Largest absolute value of any displacement component of any solution in tissue."""
+        return max(self._largest(each.displacement) for each in self._solutions)
 
 
 def _nearest(normal: Float64Array, right: Float64Array) -> Float64Array:

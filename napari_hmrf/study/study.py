@@ -332,6 +332,8 @@ class Tissue:
         refuse_unless(may_be_stiffness(self.unit), "unit", self.unit, requirement)
         materials = tuple_of(Material, "materials", self.materials, '(Material(1, "brain", 3.0),)')
         object.__setattr__(self, "materials", materials)
+        if self.preset is not None:
+            require_kind(Preset, "preset", self.preset, "PRESETS[0]")
         if self.curve is not None:
             example = "StiffnessCurve(((0, 10), (255, 40)))"
             require_kind(StiffnessCurve, "curve", self.curve, example)

@@ -16,6 +16,7 @@ from damaged import STUDIES as KEPT
 
 from napari_hmrf import (
     ICM,
+    ArgumentError,
     Arrow,
     BoundaryRule,
     Drawing,
@@ -209,6 +210,12 @@ def test_a_study_with_a_hundred_held_patches_is_replayed_bit_by_bit(tmp_path):
     header = header_in(path)
     assert len(json.dumps(header["motion"])) < 30_000
     assert header["solution"]["frame"] is None, "the drawing is in the file twice"
+
+
+@pytest.mark.parametrize("path", ["", ".", "folder/..", "a\0b"])
+def test_a_path_that_names_no_file_is_refused(path):
+    with pytest.raises(ArgumentError, match=r"^path"):
+        write_study(path, by_held_patches(2))
 
 
 @pytest.mark.parametrize("size", [4355, 4357])

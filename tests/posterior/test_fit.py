@@ -144,6 +144,12 @@ def test_a_flag_is_not_a_number():
         fit(UNIFORM, LABELS, measured=SEEN, sd=SD, load=2)
 
 
+@pytest.mark.parametrize("given", [{"stiffness": 2}, {"growth": "2"}, {"poisson": True}])
+def test_labels_to_fit_are_a_sequence_of_whole_numbers(given):
+    with pytest.raises(ArgumentError, match=f"{next(iter(given))} must be the labels to fit"):
+        fit(UNIFORM, LABELS, measured=SEEN, sd=SD, **given)
+
+
 def test_a_fit_reports_progress_and_can_be_cancelled():
     cancel, reports = threading.Event(), []
 

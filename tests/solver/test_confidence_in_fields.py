@@ -8,6 +8,7 @@ from scipy import ndimage
 
 from napari_hmrf import Cancelled, ElasticPrior, Multigrid, Problem, solve
 from napari_hmrf.data import phantom
+from napari_hmrf.solver.unconnected import scraps
 from tests.support.cancel_flags import During
 from tests.support.elastic_oracle import direct_solution
 from tests.support.opengl import require_opengl
@@ -64,6 +65,24 @@ def test_the_reported_error_of_irregular_tissue_is_a_bound(tissue, contrast):
     off = np.abs(solution.displacement - direct_solution(problem, PRIOR)).max()
     assert off <= 3 * solution.convergence.error + 1e-4
     assert off <= 3e-3
+
+
+@pytest.mark.parametrize("seed", [201, 321, 611])
+def test_the_reported_error_includes_the_turn_of_a_flap_beside_a_gap(seed):
+    random = np.random.default_rng(seed)
+    shape = tuple(random.integers(16, 50, 2))
+    noise = ndimage.gaussian_filter(random.normal(size=shape), random.uniform(1.5, 4))
+    m = np.where(noise > 0.3 * random.uniform(0, 0.3), 0.0, 1.0)
+    y, c = np.zeros((2, *shape, 2))
+    c[0] = c[-1] = 1
+    y[-1] = 2 * random.normal(size=2)
+    problem = Problem(y, c, m)
+    problem = problem.with_rest(scraps(problem.tissue, problem.known))
+    prior = ElasticPrior(0.45)
+    solution = solve(problem, prior, optimizer=Multigrid(0.01), backend="cpu")
+    off = solution.displacement - direct_solution(problem, prior)
+    assert solution.convergence.way == "cycles"
+    assert np.linalg.norm(off, axis=-1).max() <= 1.05 * solution.convergence.error
 
 
 def test_the_reported_error_is_a_bound_with_shaders():

@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from napari_hmrf import ElasticPrior, NeoHookeanPrior, Problem, ProblemError, SeilerPrior, solve
+from napari_hmrf import (
+    ArgumentError,
+    ElasticPrior,
+    NeoHookeanPrior,
+    Problem,
+    ProblemError,
+    SeilerPrior,
+    solve,
+)
 from napari_hmrf.landmarks import Landmarks, StrainScale
 from napari_hmrf.loads import Loads
 from tests.support.data_oracle import posterior_mean
@@ -259,6 +267,22 @@ def test_impossible_landmarks_are_refused_with_the_reason(points, sd, message):
     m[3:5, 3:5] = 0
     with pytest.raises(ProblemError, match=message):
         Problem(none, none, m, landmarks=Landmarks(points, points, sd=sd))
+
+
+def test_landmarks_too_close_to_hold_the_rest_of_the_tissue_are_named_as_the_cause():
+    none = np.zeros((6, 6, 2))
+    marks = Landmarks([(1.2, 1.5), (1.3, 1.5)], [(1.2, 0.0), (1.3, 3.0)], sd=0.01)
+    with pytest.raises(ProblemError) as refusal:
+        solve(Problem(none, none, np.ones((6, 6)), landmarks=marks), backend="cpu")
+    assert refusal.value.field == "landmarks"
+
+
+@pytest.mark.parametrize(
+    "given", [{"strain": 1e30}, {"strain": 1e200}, {"extent": 1e200}, {"stiffness": 0}]
+)
+def test_a_scale_without_a_finite_energy_is_refused(given):
+    with pytest.raises(ArgumentError, match=next(iter(given))):
+        StrainScale(**given)
 
 
 def test_data_that_leave_a_motion_free_are_refused():

@@ -118,6 +118,12 @@ def test_a_solution_records_its_provenance():
     assert json.loads(json.dumps(run.parameters)) == run.parameters
 
 
+def test_an_environment_without_the_compiler_of_the_loops_is_named(monkeypatch):
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")
+    with pytest.raises(BackendError, match="NUMBA_DISABLE_JIT"):
+        solve(frame_problem((5, 5)), ElasticPrior(), backend="cpu")
+
+
 def test_an_unknown_backend_is_rejected_with_a_list_of_backends():
     with pytest.raises(BackendError, match="auto, opengl"):
         solve(frame_problem((5, 5)), SeilerPrior(), backend="cuda")

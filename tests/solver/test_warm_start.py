@@ -8,6 +8,8 @@ import pytest
 
 from napari_hmrf import ElasticPrior, Multigrid, NeoHookeanPrior, Problem, solve
 from napari_hmrf.data import phantom
+from napari_hmrf.errors import ConvergenceError
+from napari_hmrf.loads import growth
 from napari_hmrf.solver.warm_start import combine_solutions
 
 TOLERANT = Multigrid(0.01)
@@ -207,3 +209,37 @@ def test_thin_tissue_that_is_no_longer_observed_returns_to_rest(prior):
     after = solve(Problem(y, c, m), prior, optimizer=TOLERANT, backend="cpu", initial=before)
     assert (after.displacement[32:36] == 0).all()
     assert after.displacement[29, 0, 0] == pytest.approx(0.5, abs=1e-6)
+
+
+def test_a_warm_start_leaves_out_tissue_that_became_void():
+    removed, pulled = np.zeros((2, 24, 24), bool)
+    removed[8:14, 4:8] = pulled[8:14, 16:20] = True
+    loads = growth(0.01 * pulled)
+
+    def problem(of_removed, of_pulled, m=1.0):
+        y, c = np.zeros((2, 24, 24, 2))
+        c[0] = c[-1] = 1
+        c[removed | pulled] = 1
+        y[removed, 1], y[pulled, 1] = of_removed, of_pulled
+        return Problem(y, c, np.full((24, 24), 1.0) * m, loads=loads)
+
+    earlier = [solve(problem(*by), PRIOR, backend="cpu") for by in ((0, 0), (2, 0.01))]
+    cavity = problem(0, 3, m=~removed)
+    warm, cold = (solve(cavity, PRIOR, backend="cpu", initial=each) for each in (earlier, None))
+    apart = np.abs(warm.displacement - cold.displacement).max()
+    assert apart <= warm.convergence.error + cold.convergence.error
+
+
+class _ColdOnly(Multigrid):
+    """Schedule that fails from any warm start."""
+
+    def run(self, problem, prior, backend, report, start=None):
+        if start is not None:
+            raise ConvergenceError("no")
+        return super().run(problem, prior, backend, report)
+
+
+def test_a_problem_that_fails_from_a_warm_start_is_solved_from_a_cold_start():
+    cold = solve(PROBLEM, PRIOR, backend="cpu")
+    found = solve(PROBLEM, PRIOR, optimizer=_ColdOnly(), backend="cpu", initial=cold)
+    np.testing.assert_array_equal(found.displacement, cold.displacement)

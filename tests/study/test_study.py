@@ -344,6 +344,11 @@ def test_the_unit_of_a_tissue_is_a_string():
         Tissue(unit=3)
 
 
+def test_a_preset_is_not_a_name():
+    with pytest.raises(ArgumentError, match="preset must be a Preset"):
+        Tissue(preset="brain")
+
+
 def test_a_patch_that_grows_at_the_surface_moves_the_surface_outward():
     rows, cols = np.indices((60, 60)) - 29.5
     image = np.where(np.hypot(rows, cols) < 20, 100.0, 0.0)

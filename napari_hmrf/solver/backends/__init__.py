@@ -21,6 +21,7 @@ All of these steps run on one thread (`thread`), because OpenGL and numba both r
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -41,6 +42,8 @@ COMPILING = "until the loops for the processor are compiled"
 #: Number of voxels above which it is faster to wait for the compiled loops than to solve on a
 #: software rasterizer.
 LARGE_VOLUME = 1_000_000
+# Environment variable with which numba runs loops as Python functions.
+_NO_COMPILER = "NUMBA_DISABLE_JIT"
 
 __all__ = [
     "BACKEND_NAMES",
@@ -101,8 +104,14 @@ def open_backend(
     Raises
     ------
     BackendError
-        If the requested backend is missing or does not support the job.
+        If the requested backend is missing or does not support the job, or if the environment
+        disables the compiler of the loops.
     """
+    if os.environ.get(_NO_COMPILER, "0") not in ("", "0"):
+        raise BackendError(
+            f"the environment variable {_NO_COMPILER} disables the compiler that the solver needs. "
+            "Unset it before Python starts."
+        )
     if name not in BACKEND_NAMES:
         raise BackendError(f"unknown backend {name!r}; use one of {', '.join(BACKEND_NAMES)}")
     if name == "cpu":

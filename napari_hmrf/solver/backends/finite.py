@@ -51,7 +51,14 @@ class FiniteModel(Protocol):
         ...
 
     def energy(self, d: Planes) -> tuple[float, float]:
-        """Return the energy of a displacement, and the smallest Jacobian of all element corners."""
+        """Return the energy of a displacement, and the smallest Jacobian that it limits.
+
+        The Jacobian is that of an element corner, in volumes without growth.
+        """
+        ...
+
+    def least_jacobian(self, d: Planes) -> float:
+        """Return the smallest Jacobian of all element corners, including growth."""
         ...
 
     def forces(self, d: Planes) -> Planes:

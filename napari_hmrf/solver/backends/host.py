@@ -49,7 +49,8 @@ def prescribed(problem: Problem, start: WarmStart | None = None) -> tuple[Planes
     """Return the initial displacement of a solve and the mask of constrained components, as planes.
 
     Observed components have the observed displacement, in pixels, and are constrained. Other
-    components have the displacement of `start`, or zero.
+    components of tissue have the displacement of `start`, or zero. Void has zero, because a start
+    has a displacement where its tissue has become void.
 
     Parameters
     ----------
@@ -76,6 +77,8 @@ def prescribed(problem: Problem, start: WarmStart | None = None) -> tuple[Planes
         exact.prescribe(*about, first[at.sites], one, second[at.sites], two, *parts)
         for values, weight in terms[2:]:
             exact.blend(values[at.sites], weight, parts[1], parts[0])
+        if terms:
+            np.copyto(inside(parts[0]), 0.0, where=~problem.tissue[at.sites])
     return d, held
 
 

@@ -54,16 +54,24 @@ class Step:
         Norm of the residual after the step.
     gain : float
         Decrease in energy during the step.
+    worst_reach : float
+        The same as `reach` if the smallest eigenvalue is one that the iteration may have missed.
     """
 
     reach: float
     rest: float
     gain: float
+    worst_reach: float = math.inf
 
     @property
     def error(self) -> float:
         """Estimated largest distance of any site from the solution."""
         return self.reach * self.rest
+
+    @property
+    def worst_error(self) -> float:
+        """The same as `error` if the iteration has missed a small eigenvalue."""
+        return self.worst_reach * self.rest
 
 
 #: Callback after each step; returns True to end the iteration.
@@ -89,6 +97,8 @@ class ConjugateGradients:
         self._double: Any = None
         #: Motions induced by rigid bodies, which cycles do not reduce; None without rigid bodies.
         self.deflation: Deflation | None = None
+        #: Eigenvalue that the iteration may miss; 1 if it finds all that matter.
+        self.unseen = 1.0
 
     @property
     def steps(self) -> tuple[Steps, Steps]:
@@ -249,7 +259,8 @@ class ConjugateGradients:
         self._step_count += 1
         if self._step_count < _RELIABLE_STEPS:
             fall = max(fall, 1 - least)  # reduction of slow motions in early cycles
-        return Step(far * fall / least / rest, rest, gain)
+        left = far * fall / rest
+        return Step(left / least, rest, gain, left / min(least, self.unseen))
 
 
 class StabilisedGradients:

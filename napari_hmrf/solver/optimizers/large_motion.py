@@ -260,9 +260,10 @@ def _returned(
         displacement, rounding = host.gathered(d, largest_rounding)
         unit = displacement.dtype.type(problem.unit)
         converted = (displacement * unit).astype(np.float64) / problem.unit
-        energy, least = model.energy(host.planes(converted))
+        returned = host.planes(converted)
+        energy, least = model.energy(returned)
         if math.isfinite(energy) and least >= _RETURNED_PART * LEAST_JACOBIAN:
-            return displacement, rounding, least
+            return displacement, rounding, model.least_jacobian(returned)
     raise ConvergenceError(
         "a pixel of the tissue is crushed to nothing. Move, press or grow it less, or reduce the "
         "ratio of the stiffest to the softest tissue"

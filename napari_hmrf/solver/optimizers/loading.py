@@ -103,7 +103,9 @@ def work_of(load: Planes | None, d: Planes) -> float:
 
 
 def check_reach(d: Planes, problem: Problem) -> None:
-    """Raise an error if loads move tissue far beyond the image, usually due to a wrong unit.
+    """Raise an error if loads or data move tissue far beyond the image.
+
+    Loads usually do so in a wrong unit, and data if they hardly hold some of the tissue.
 
     Parameters
     ----------
@@ -123,11 +125,17 @@ def check_reach(d: Planes, problem: Problem) -> None:
     farthest = max(float(d.max()), -float(d.min()))
     if farthest <= MAX_REACH * diagonal:
         return
+    move = f"move tissue by {farthest / diagonal:.2g} times the diagonal of the image. "
+    if problem.loads is None:
+        raise ProblemError(
+            "precision" if problem.landmarks is None else "landmarks",
+            move + "Observe or hold more of the tissue, or give its observations smaller standard "
+            "deviations.",
+        )
     raise ProblemError(
         "loads",
-        f"move tissue by {farthest / diagonal:.2g} times the diagonal of the image. Use forces "
-        "and stiffness in consistent units, such as stiffness in kPa, and forces in kPa times the "
-        "unit of length of the spacing; or hold more of the tissue.",
+        move + "Use forces and stiffness in consistent units, such as stiffness in kPa, and forces "
+        "in kPa times the unit of length of the spacing; or hold more of the tissue.",
     )
 
 

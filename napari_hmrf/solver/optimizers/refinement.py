@@ -49,6 +49,11 @@ _VOLUME_MARGIN = 1.5
 _MILD_LEAST = 0.1
 # Smallest eigenvalue that cycles find in images of nearly incompressible tissue with low contrast.
 _MILD_LEAST_INCOMPRESSIBLE = 0.05
+# Eigenvalue of a motion of parts beside a gap of void, such as a flap, that cycles may miss in mild
+# tissue. Its energy is so small that they find it only after all other motions have converged.
+_UNSEEN = 0.05
+# Safety factor on the error estimate of mild tissue with a gap of void.
+_GAP_MARGIN = 3.0
 # Smallest safety factor of any error estimate, because an estimate is for a single component and
 # depends on the eigenvalues found so far.
 _LEAST_MARGIN = 1.5
@@ -233,9 +238,11 @@ class Refinement:
         # Cycles find every motion of a single body, but may miss relative motions of close bodies.
         sees_bodies = model.bodies is None or (moves is not None and not moves.close)
         sure = self._mild and not volume and model.material.compressible and sees_bodies
-        doubt = _LEAST_MARGIN
+        is_gapped = self._mild and not volume and _is_gapped(model)
+        self._iteration.unseen = _UNSEEN if is_gapped else 1.0
+        doubt = _GAP_MARGIN if is_gapped else _LEAST_MARGIN
         if not sure:
-            doubt = max(_MARGIN * earlier.underestimate, _MARGIN if volume else _LEAST_MARGIN)
+            doubt = max(_MARGIN * earlier.underestimate, _MARGIN if volume else doubt)
         if volume and not self._mild:
             doubt *= _VOLUME_MARGIN
         if moves is not None and moves.close:
@@ -249,7 +256,7 @@ class Refinement:
                 nonlocal step
                 step = latest
                 self._gains.append(unit**2 * latest.gain)
-                error = doubt * unit * latest.error
+                error = unit * max(doubt * latest.error, _LEAST_MARGIN * latest.worst_error)
                 self._report_cycle(error, tolerance)
                 if watch and self._is_slow:
                     raise _SlowMotionError
@@ -272,15 +279,16 @@ class Refinement:
             self.estimate = doubt * step.reach * self.residual
             if earlier.deflation is not None:
                 self.estimate += earlier.deflation.remaining_distance(balance.rest) * balance.unit
-            if self.estimate <= tolerance:
+            worst = max(self.estimate, _LEAST_MARGIN * step.worst_reach * self.residual)
+            if worst <= tolerance:
                 self.error = self.estimate
                 self.estimate = min(max(self.estimate, self._least_error()), tolerance)
                 return True
-            stays = not self.estimate < 0.5 * before
+            stays = not worst < 0.5 * before
             if self._too_long or (stays and not self._take_care()):
                 return False
             earlier.care = self._iteration.care
-            before = self.estimate
+            before = worst
 
     @property
     def _is_slow(self) -> bool:
@@ -480,6 +488,11 @@ def factors_fit(model: LinearModel) -> bool:
 def _is_coupled(model: LinearModel) -> bool:
     """Return whether parts of the tissue slide along each other."""
     return isinstance(model.material, ElasticMaterial) and model.material.coupling is not None
+
+
+def _is_gapped(model: LinearModel) -> bool:
+    """Return whether void lies between parts of elastic tissue."""
+    return isinstance(model.material, ElasticMaterial) and model.material.is_gapped
 
 
 def _links_of(model: LinearModel) -> Links | None:

@@ -118,6 +118,23 @@ class ElasticMaterial:
         return not (self.strain and self.largest_poisson > MILD_POISSON)
 
     @cached_property
+    def is_gapped(self) -> bool:
+        """True if some void lies between two sites of tissue in a row along an axis.
+
+        Coarse levels bridge a gap that is narrower than their elements. Parts on its two sides,
+        such as a flap on a neck, then move against each other much more easily than cycles assume.
+        """
+        tissue = self.m > 0
+        if tissue.all():
+            return False
+        for axis in range(tissue.ndim):
+            along = np.moveaxis(tissue, axis, 0)
+            starts = np.count_nonzero(along[1:] > along[:-1], axis=0)
+            if (starts + along[0] > 1).any():
+                return True
+        return False
+
+    @cached_property
     def laced(self) -> bool:
         """True if thin strips have too high a contrast for a trial run of the cycles to succeed."""
         return self._compactness < MILD_COMPACTNESS and contrast(self.m) >= LACED_CONTRAST

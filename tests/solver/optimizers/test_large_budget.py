@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -149,6 +151,24 @@ def test_of_two_stopped_solves_the_nearer_one_is_delivered(exact_budget, budget,
         assert live.wait(100)
     assert (updates[-1].solution.displacement is earlier.displacement) == is_nearer
     assert updates[-1].solution.reach.stopped
+
+
+class _Detour(Multigrid):
+    """Schedule that loses the warm start, and ends without having run out of work."""
+
+    def run(self, problem, prior, backend, report, start=None):
+        outcome = super().run(problem, prior, backend, report)
+        return replace(outcome, reach=replace(outcome.reach, stopped=False))
+
+
+def test_a_solve_that_continues_another_never_ends_farther_from_its_targets(exact_budget):
+    earlier = within(10)
+    found = solve(
+        dragged(), PRIOR, optimizer=_Detour(0.01, budget=5), backend="cpu", initial=earlier
+    )
+    assert found.displacement is earlier.displacement
+    assert found.reach.missing == earlier.reach.missing
+    assert not found.reach.stopped, "a larger budget leads no further"
 
 
 def test_a_stopped_solve_is_marked_in_its_file(exact_budget, tmp_path):

@@ -193,6 +193,16 @@ def test_a_slab_in_plane_strain_moves_like_an_image() -> None:
     assert np.abs(deep[1][..., 1:] - flat).max() < 1e-3 * np.abs(y).max()
 
 
+@pytest.mark.parametrize("strain", [-0.5, 1.0])
+def test_the_smallest_jacobian_of_free_tissue_is_that_of_its_growth(strain) -> None:
+    c = np.zeros((3, 3, 3, 3))
+    c[0, 0, 0], c[0, 0, 2, 0], c[0, 2, 0, 0], c[0, 0, 2, 1] = 1, 1, 1, 1
+    loads = Loads(growth=np.full((3, 3, 3), strain))
+    problem = Problem(0 * c, c, np.ones((3, 3, 3)), loads=loads)
+    solution = solve(problem, NeoHookeanPrior(0.3), backend="cpu")
+    assert solution.reach.least_jacobian == pytest.approx((1 + strain) ** 3, rel=1e-3)
+
+
 def test_a_ball_that_doubles_its_radius_folds_no_tissue() -> None:
     problem = growing_ball(16, 2.5)
     folded = solve(problem, ElasticPrior(), backend="cpu")

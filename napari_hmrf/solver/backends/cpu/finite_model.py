@@ -170,6 +170,10 @@ class CpuFiniteModel(CpuFiniteModelBase):
         self._work(finite_strain.energy, d, self._energies, self._least)
         return float(self._energies.sum()) + self._stored, float(self._least.min())
 
+    def least_jacobian(self, d: Planes) -> float:
+        """Return the smallest Jacobian at any element corner, including growth."""
+        return self.energy(d)[1]
+
     def forces(self, d: Planes) -> Planes:
         """Return the gradient of the elastic energy; valid until the next call."""
         self._work(finite_strain.forces, d, self._pull)

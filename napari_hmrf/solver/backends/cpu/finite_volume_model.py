@@ -231,10 +231,19 @@ class CpuFiniteVolumeModel(CpuFiniteModelBase):
             level.shape = self._sides.astype(np.float32)
 
     def energy(self, d: Planes) -> tuple[float, float]:
-        """Return the energy of a displacement, and a bound below the Jacobian of all elements."""
+        """Return the energy of a displacement, and a bound below the Jacobian of all elements.
+
+        The Jacobian is that of the elastic deformation, without growth.
+        """
         about = d, self._solid, self._sides, self._barrier
         finite_bricks.energy(*about, self._energies, self._least)
         return float(self._energies.sum()), float(self._least.min())
+
+    def least_jacobian(self, d: Planes) -> float:
+        """Return a bound below the Jacobian of all elements, including growth."""
+        about = d, self._solid[:2], self._sides, self._barrier  # moduli only, as without growth
+        finite_bricks.energy(*about, self._energies, self._least)
+        return float(self._least.min())
 
     def forces(self, d: Planes) -> Planes:
         """Return the gradient of the elastic energy; valid until the next call."""
