@@ -433,9 +433,8 @@ def _over_quadrants(kind: _Kind, moved: Float64Array, sites: Sites) -> FloatArra
 
 def followers_at(sites: Sites) -> Followers | None:
     """Return the followers of tissue, or None if each site is in an element or follows no other."""
-    if sites.dtype == np.bool_:
-        return followers_of(sites)
-    return followers_of(sites > 0, sites)
+    connected = sites.dtype == np.bool_
+    return followers_of(sites.astype(np.bool_, copy=False), None if connected else sites)
 
 
 def _over_existing_quadrants(kind: _Kind, moved: Float64Array, sites: Sites) -> FloatArray:

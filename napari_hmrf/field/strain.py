@@ -367,7 +367,7 @@ def gradient_of_differences(
     tissue: npt.ArrayLike | None,
     parts: npt.ArrayLike | None,
 ) -> tuple[Float64Array, Sites]:
-    """Return the `displacement_gradient` from differences alone, at sites without an element too."""
+    """Return the `displacement_gradient` from differences alone, also at sites in no element."""
     moved, sites = numbered_sites(displacement, spacing, tissue, parts)
     n, mask = sites.ndim, sites.astype(bool)
     sizes = checked_sizes(spacing, n)

@@ -200,9 +200,7 @@ def _with_moved_forces(problem: Problem, found: Followers | None) -> Problem:
     if not loads.force.reshape(-1, loads.force.shape[-1])[found.sites].any():
         return problem
     force = found.carried(loads.force)
-    return variant_of(
-        problem, loads=Loads(growth=loads.growth, force=force, spacing=loads.spacing)
-    )
+    return variant_of(problem, loads=Loads(growth=loads.growth, force=force, spacing=loads.spacing))
 
 
 def _with_moved_observations(
@@ -232,7 +230,7 @@ def _with_moved_observations(
         moved.update(found.sites[at].tolist())
     first = of_components[0]
     if problem.precision is not None and first is not None:
-        given = problem.known.any(axis=-1) | problem.precision.any(axis=(-2, -1))
+        given: Mask = problem.known.any(axis=-1) | problem.precision.any(axis=(-2, -1))
         at = np.flatnonzero(_tensors(problem.precision)[first.sites].any(axis=(1, 2)))
         at = at[~_is_represented(problem, first, at, given)]
         if changed:  # a site that is held takes no other observation

@@ -267,7 +267,7 @@ def _moved(sites: Indices, steps: Indices, shape: tuple[int, ...]) -> tuple[Indi
     index = np.stack(np.unravel_index(sites, shape), axis=-1)[:, None] + steps
     inside = ((index >= 0) & (index < shape)).all(axis=-1)
     flat = np.ravel_multi_index(tuple(np.moveaxis(index, -1, 0)), shape, mode="clip")
-    return flat.astype(np.intp), inside
+    return flat.astype(np.intp), np.asarray(inside)
 
 
 class _Paths(NamedTuple):

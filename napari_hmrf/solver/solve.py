@@ -189,7 +189,7 @@ def _with_loose_at_rest(
     """Solve without the loose pieces of elastic tissue, and note how many stay at rest."""
     notes: tuple[str, ...] = ()
     if isinstance(prior, Elastic | None):
-        loose = scraps(problem.tissue, connected(problem, prior).problem.observed_components)
+        loose = scraps(problem.tissue, problem.observed_components)
         if loose.any():
             problem, notes = problem.with_rest(loose), (left_at_rest(loose),)
     solution = solve(

@@ -229,9 +229,7 @@ def _inside(problem: Problem) -> Slices:
     return (slice(2, -2),) * len(problem.shape)
 
 
-def in_cliques(
-    tissue: npt.NDArray[np.bool_], spacing: tuple[float, ...]
-) -> npt.NDArray[np.bool_]:
+def in_cliques(tissue: npt.NDArray[np.bool_], spacing: tuple[float, ...]) -> npt.NDArray[np.bool_]:
     """Return, per component, the mask of sites in a clique that contributes to it, (2, H, W).
 
     Parameters
