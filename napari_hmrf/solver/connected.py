@@ -73,8 +73,8 @@ class Connected(NamedTuple):
             if self.acts is not None:
                 exact |= self.acts[component].ravel()[each.sites]
             free = np.flatnonzero(~(held & exact))
-            moved = each.displacement(displacement[..., component : component + 1])
-            flat[each.sites[free], component] = moved[free, 0]
+            moved = each.values @ flat[each.sources, component].astype(np.float64)
+            flat[each.sites[free], component] = moved[free]
 
     def carried(self, force: npt.NDArray[Any]) -> npt.NDArray[Any]:
         """Return forces, shape (H, W, 2) or (D, H, W, 3), that act on connected sites only."""
@@ -221,7 +221,8 @@ def _with_moved_observations(
         if acts is not None:
             known &= ~acts[component].ravel()[found.sites]
         at = np.flatnonzero(known)
-        at = at[~_is_represented(problem, found, at, problem.known[..., component])]
+        beside, near = _beside(problem, found, at)
+        at = at[~(near & _at(problem.known, component, beside)).any(axis=1)]
         if not len(at):
             continue
         if not changed:
@@ -230,9 +231,12 @@ def _with_moved_observations(
         moved.update(found.sites[at].tolist())
     first = of_components[0]
     if problem.precision is not None and first is not None:
-        given: Mask = problem.known.any(axis=-1) | problem.precision.any(axis=(-2, -1))
-        at = np.flatnonzero(_tensors(problem.precision)[first.sites].any(axis=(1, 2)))
-        at = at[~_is_represented(problem, first, at, given)]
+        tensors = _tensors(problem.precision)
+        at = np.flatnonzero(tensors[first.sites].any(axis=(1, 2)))
+        beside, near = _beside(problem, first, at)
+        given = tensors[beside].any(axis=(-2, -1))
+        given |= problem.known.reshape(-1, len(problem.shape))[beside].any(axis=-1)
+        at = at[~(near & given).any(axis=1)]
         if changed:  # a site that is held takes no other observation
             taken = changed["confidence"].reshape(-1, observed.shape[-1])[first.nearest[at]]
             at = at[~taken.any(axis=1)]
@@ -250,11 +254,10 @@ def _with_moved_observations(
     return made, len(moved)
 
 
-def _is_represented(problem: Problem, found: Followers, at: Indices, observed: Mask) -> Mask:
-    """Return a mask of orphans whose nearest site is observed, or is beside an observed site."""
+def _beside(problem: Problem, found: Followers, at: Indices) -> tuple[Indices, Mask]:
+    """Return the nearest sites of orphans and those around them, and a mask of all but orphans."""
     sites, inside = around(found.nearest[at], problem.shape)
-    near = inside & observed.ravel()[sites] & ~np.isin(sites, found.sites)
-    return np.asarray(near.any(axis=1))
+    return sites, inside & ~np.isin(sites, found.sites)
 
 
 def _take(
