@@ -19,6 +19,7 @@ from exact.direct import Factors
 from exact.matrices import Matrix, matrix_of
 from exact.slip import Marks, balance, shortest
 from napari_hmrf import ElasticPrior, Problem, SeilerPrior
+from napari_hmrf.solver.connected import connected
 
 #: Relative stiffness of a motion below which tissue is free to move.
 FREE = 1e-12
@@ -95,6 +96,8 @@ def exact_field(
     strength : array_like, broadcast to (H, W, 2)
         Factor on the force of each observation, to test the sensitivity to it.
     """
+    joined = connected(problem, prior)
+    problem = joined.problem
     matrix = matrix_of(problem, prior)
     moving = matrix.diagonal > 0
     observed = ((problem.confidence > 0) & (problem.stiffness > 0)[..., None]).ravel()
@@ -120,8 +123,10 @@ def exact_field(
         nowhere = np.zeros(0, np.int64)
         d = shortest(matrix, d, factors.motions, nowhere, np.zeros(0), np.zeros(0))
         motions, last = len(factors.motions), factors.last_step
+    field = d.reshape(problem.observed.shape)
+    joined.extend(field)
     return Exact(
-        d.reshape(problem.observed.shape),
+        field,
         moving.reshape(problem.observed.shape),
         motions,
         not slips or found is not None,

@@ -28,6 +28,7 @@ from napari_hmrf.field.warp import (
 )
 from napari_hmrf.solver.backends.compile_cache import loader, loops
 from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.solver.followers import Followers, followers_of
 
 FloatArray = npt.NDArray[np.float32]
 
@@ -77,8 +78,10 @@ def jacobian_determinant(
     """Return the Jacobian determinant det(I + dd/dX), the ratio of areas or volumes, at each site.
 
     A value of 1 means unchanged size, below 1 shrinkage, above 1 growth, and 0 or below a fold.
-    Differences are central, or one-sided if a neighbour is missing. If both neighbours along an
-    axis are missing, the tissue is assumed to be unstrained along that axis.
+    Differences are central, or one-sided if a neighbour is missing. A site in no element, such as
+    the tip of a disc, has the determinant of the affine motion that it follows; see
+    `napari_hmrf.solver.followers`. If it follows no other tissue and both neighbours along an axis
+    are missing, it is assumed to be unstrained along that axis.
 
     Parameters
     ----------
@@ -421,6 +424,20 @@ def _is_little_strained(moved: Float64Array) -> bool:
 
 def _over_quadrants(kind: _Kind, moved: Float64Array, sites: Sites) -> FloatArray:
     """Reduce the determinants of the quadrants around each site; NaN outside tissue."""
+    values = _over_existing_quadrants(kind, moved, sites)
+    followers = None if kind == "smallest" else followers_at(sites)
+    if followers is not None:
+        values.reshape(-1)[followers.sites] = np.linalg.det(followers.gradient(moved))
+    return values
+
+
+def followers_at(sites: Sites) -> Followers | None:
+    """Return the followers of tissue, or None if each site is in an element or follows no other."""
+    connected = sites.dtype == np.bool_
+    return followers_of(sites.astype(np.bool_, copy=False), None if connected else sites)
+
+
+def _over_existing_quadrants(kind: _Kind, moved: Float64Array, sites: Sites) -> FloatArray:
     if sites.ndim == 3 and sites.dtype == np.bool_ and loops.ready_for_volumes():
         loader.before_numba()
         from napari_hmrf.field.volume_loops import determinants  # heavy: numba

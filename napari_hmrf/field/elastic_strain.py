@@ -23,6 +23,7 @@ displacement without a model. In these two cases the total Green-Lagrange strain
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from operator import add
 from typing import Any, Literal
@@ -33,7 +34,7 @@ import numpy.typing as npt
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.parts import Sites, in_one_part
 from napari_hmrf.field.strain import (
-    displacement_gradient,
+    gradient_of_differences,
     green_lagrange,
     on_sites,
     symmetric,
@@ -41,6 +42,7 @@ from napari_hmrf.field.strain import (
 )
 from napari_hmrf.field.warp import BoolArray, Float64Array
 from napari_hmrf.solver.elasticity import Elasticity
+from napari_hmrf.solver.followers import followers_of
 from napari_hmrf.solver.neighbours import around_sites, of_corners
 from napari_hmrf.solver.real_arrays import FloatArray
 from napari_hmrf.solver.solution import Solution
@@ -146,7 +148,24 @@ def _gradient(solution: Solution, sites: slice, fraction: float) -> tuple[Float6
     """Return the `displacement_gradient` in a range of the first axis."""
     d = solution.displacement[sites] * np.float32(fraction)
     parts = None if solution.parts is None else solution.parts[sites]
-    return displacement_gradient(d, solution.spacing, solution.tissue[sites], parts)
+    gradient, numbers = gradient_of_differences(d, solution.spacing, solution.tissue[sites], parts)
+    # An orphan near the end of the range follows tissue beyond it.
+    found = followers_of(solution.tissue, solution.parts)
+    if found is not None:
+        own = fraction * found.gradient(solution.displacement) / np.array(solution.spacing)
+        inside, at = _within(found.sites, sites, solution.tissue.shape)
+        gradient[np.searchsorted(np.flatnonzero(numbers), at)] = own[inside]
+    return gradient, numbers
+
+
+def _within(
+    found: npt.NDArray[np.intp], sites: slice, shape: tuple[int, ...]
+) -> tuple[BoolArray, npt.NDArray[np.intp]]:
+    """Return which flat indices are in a range of the first axis, and their indices there."""
+    first, end, _ = sites.indices(shape[0])
+    plane = math.prod(shape[1:])
+    inside = (found >= first * plane) & (found < end * plane)
+    return inside, found[inside] - first * plane
 
 
 def _elastic(

@@ -9,8 +9,10 @@ H = dd/dX and the deformation gradient F = I + H,
     Green-Lagrange strain E = (F^T F - I) / 2              valid for any motion; 0 for a rotation
 
 Differences are central, or one-sided if a neighbour is missing, and do not cross the border of the
-tissue or of a part that slides. If both neighbours along an axis are missing, the tissue is assumed
-to be unstrained along that axis. `jacobian_determinant` uses the same differences and equals det F.
+tissue or of a part that slides. A site in no element, a block of two sites along each axis, has the
+gradient of the affine motion that it follows (`napari_hmrf.solver.followers`); if it follows no
+other tissue and both neighbours along an axis are missing, it is assumed to be unstrained along
+that axis. `jacobian_determinant` uses the same differences and equals det F.
 Tensors are in (row, col) order: H[..., 0, 1] is the derivative of the row component with respect to
 the column. In a volume the order is (depth, row, col). Strains have no unit (0.01 is one per cent).
 The displacement and `spacing` must have the same unit. All values are NaN outside tissue.
@@ -28,6 +30,7 @@ from napari_hmrf.field.deformation import (
     FloatArray,
     count_folds,
     differences_along_axes,
+    followers_at,
     jacobian_determinant,
     magnitude,
     smallest_determinant,
@@ -37,6 +40,7 @@ from napari_hmrf.field.warp import (
     BoolArray,
     Float64Array,
     Spacing,
+    as_field,
     checked_sizes,
     numbered_sites,
 )
@@ -349,6 +353,21 @@ def displacement_gradient(
     parts: npt.ArrayLike | None,
 ) -> tuple[Float64Array, Sites]:
     """Return the gradient H = dd/dX, (N, n, n), at the N tissue sites, and the `numbered_sites`."""
+    gradient, sites = gradient_of_differences(displacement, spacing, tissue, parts)
+    followers = followers_at(sites)
+    if followers is not None:
+        own = followers.gradient(as_field(displacement)) / checked_sizes(spacing, sites.ndim)
+        gradient[np.searchsorted(np.flatnonzero(sites), followers.sites)] = own
+    return gradient, sites
+
+
+def gradient_of_differences(
+    displacement: npt.ArrayLike,
+    spacing: Spacing,
+    tissue: npt.ArrayLike | None,
+    parts: npt.ArrayLike | None,
+) -> tuple[Float64Array, Sites]:
+    """Return the `displacement_gradient` from differences alone, also at sites in no element."""
     moved, sites = numbered_sites(displacement, spacing, tissue, parts)
     n, mask = sites.ndim, sites.astype(bool)
     sizes = checked_sizes(spacing, n)

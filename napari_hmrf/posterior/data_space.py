@@ -30,6 +30,7 @@ import scipy
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.posterior.response import Response
+from napari_hmrf.solver.connected import connected
 from napari_hmrf.solver.neighbours import around_sites, in_elements
 from napari_hmrf.solver.optimizers import Monitor, Multigrid
 from napari_hmrf.solver.priors import ElasticPrior
@@ -131,7 +132,7 @@ def _of_landmarks(problem: Problem) -> Iterator[Observations]:
 def _of_sites(problem: Problem, energy: float) -> Iterator[Observations]:
     if problem.precision is None:
         return
-    # The prior says nothing about pixels that belong to no element.
+    # The prior says nothing about lone pixels, which follow no other tissue.
     inside = around_sites(in_elements(problem.tissue), np.logical_or)
     at = np.flatnonzero(problem.precision.any(axis=(-2, -1)) & inside)
     axes = len(problem.shape)
@@ -205,6 +206,7 @@ def data_space(
     ProblemError
         If there are no observations or too many, or if they only determine rigid motions.
     """
+    problem = connected(problem, prior).without_orphans
     data = Observations.of(problem, energy)
     bare = variant_of(problem, precision=None, landmarks=None)
     motions = [motion for each in free_motions(bare, bare.known) for motion in each]

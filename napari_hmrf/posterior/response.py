@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from napari_hmrf.posterior.forced import ForcedMultigrid, typical_size
 from napari_hmrf.solver.backends import host
+from napari_hmrf.solver.connected import connected
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.neighbours import around_sites, in_elements
 from napari_hmrf.solver.priors import ElasticPrior
@@ -56,9 +57,9 @@ class Response:
         if problem.landmarks is not None:
             at_rest["landmarks"] = problem.landmarks.at_rest
         self._problem = variant_of(problem, **at_rest)
-        # Single pixels belong to no element, and are held by their own precision only.
-        single = problem.tissue & ~around_sites(in_elements(problem.tissue), np.logical_or)
-        self._single = np.nonzero(single)
+        self._connected = connected(self._problem, prior)
+        # Lone pixels follow no other tissue, and stay at rest.
+        self._lone = ~around_sites(in_elements(problem.tissue), np.logical_or)
         self._moves = problem.tissue & ~problem.known.all(axis=-1)
 
     @property
@@ -105,9 +106,9 @@ class Response:
     def _solved(
         self, force: Floats, tolerance: float = 1.0, accuracy: float | None = None
     ) -> Floats:
-        pulled = host.planes(force)
+        pulled = host.planes(self._connected.carried(force))
         pulled /= self._prior.force_unit(self._problem)
-        host.field(pulled)[self._single] = 0
+        host.field(pulled)[self._lone] = 0
         solution = solve(
             self._problem,
             self._prior,
@@ -115,9 +116,4 @@ class Response:
             backend=self._backend,
             cancel=self._cancel,
         )
-        moved = solution.displacement
-        if self._problem.precision is not None:
-            tensors = self._problem.precision[self._single]
-            own = np.einsum("sij,sj->si", np.linalg.pinv(tensors), force[self._single])
-            moved[self._single] = own
-        return moved
+        return solution.displacement

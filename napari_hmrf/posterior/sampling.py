@@ -14,6 +14,7 @@ from napari_hmrf.posterior.blanket import blanket_samples
 from napari_hmrf.posterior.noise import PosteriorNoise
 from napari_hmrf.posterior.response import Response
 from napari_hmrf.posterior.tissue_box import TissueBox
+from napari_hmrf.solver.connected import connected
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors import ElasticPrior, Prior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
@@ -115,8 +116,9 @@ def sample_posterior(
     def samples() -> Iterator[Float32Array]:
         box = TissueBox.of(problem, elastic)
         mean = box.solve(backend, cancel).displacement
-        response = Response(box.problem, box.prior, backend, cancel)
-        sampler = Sampler(response, PosteriorNoise(box.problem, box.prior, energy), seed)
+        inner = connected(box.problem, box.prior).without_orphans
+        response = Response(inner, box.prior, backend, cancel)
+        sampler = Sampler(response, PosteriorNoise(inner, box.prior, energy), seed)
         for number in range(n):
             if progress is not None:
                 progress(Monitor(f"sample {number + 1} of {n}", number / n))
@@ -155,7 +157,7 @@ def checked_prior(problem: Problem, prior: Prior | None) -> ElasticPrior:
             "landmarks",
             "have a drift, whose uncertainty is not implemented. Pass landmarks without a drift.",
         )
-    check_held(problem)
+    check_held(connected(problem, elastic).problem)
     return elastic.in_force(problem)
 
 

@@ -20,6 +20,7 @@ from napari_hmrf.posterior.noise import PosteriorNoise
 from napari_hmrf.posterior.response import Response
 from napari_hmrf.posterior.sampling import Sampler, checked_prior, energy_of
 from napari_hmrf.posterior.tissue_box import TissueBox
+from napari_hmrf.solver.connected import connected
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.problem import Problem, as_numbers, whole_numbers
@@ -287,14 +288,15 @@ def uncertainty(
     box = TissueBox.of(problem, elastic)
     solution = box.solve(backend, cancel)
     moved = solution.displacement[box.sites]
-    response = Response(box.problem, box.prior, backend, cancel)
+    inner = connected(box.problem, box.prior).without_orphans
+    response = Response(inner, box.prior, backend, cancel)
     means = _LabelMeans(
         None if numbers is None else numbers[box.sites], moved, box.problem.tissue, response, energy
     )
     steps = max(1, n + len(means.labels))
     report = progress or (lambda _: None)
     if n:
-        sampler = Sampler(response, PosteriorNoise(box.problem, box.prior, energy), seed)
+        sampler = Sampler(response, PosteriorNoise(inner, box.prior, energy), seed)
         sd, along = map(
             box.whole,
             _of_patches(

@@ -58,12 +58,12 @@ def _free_pieces(
 
     The free motions are an array of shape (n, H, W, 2).
     """
-    cliques = in_cliques(problem)
+    cliques = in_cliques(problem.tissue, problem.spacing)
     i, j = np.indices(problem.shape)
     # Motions of one component of a piece that may have no energy: constant and linear.
     basis = np.stack([np.ones(problem.shape), i / max(problem.shape), j / max(problem.shape)], -1)
     for component in range(len(_DIRECTIONS)):
-        pieces, _ = scipy.ndimage.label(cliques[..., component], structure=np.ones((3, 3)))
+        pieces, _ = scipy.ndimage.label(cliques[component], structure=np.ones((3, 3)))
         for number, box in enumerate(scipy.ndimage.find_objects(pieces), start=1):
             inside = pieces[box] == number
             held_sites = held[box][inside, component]

@@ -28,6 +28,7 @@ import numpy.typing as npt
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.backends import volume_caches
 from napari_hmrf.solver.backends.thread import in_child_of_fork
+from napari_hmrf.solver.connected import connected
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.optimizers import Monitor, Multigrid, Optimizer
 from napari_hmrf.solver.precision import are_equal
@@ -127,7 +128,8 @@ def solve_with_drift(
         )
     check_memory(problem)
     begun = time.perf_counter()
-    plain = without_drift(problem)
+    joined = connected(problem, prior)
+    plain = without_drift(joined.without_orphans)
     found = _last[0] if _last and _last[0].covers(problem, prior, optimizer) else None
     solves = 1 if found is not None else 1 + len(_unit_strains(len(problem.shape)))
     # The responses come first, so that the field without drift does not depend on whether they
@@ -170,7 +172,7 @@ def solve_with_drift(
         ),
         loads=loads,
         elasticity=replace(base.elasticity, growth=loads.growth),
-        notes=(*base.notes, _in_words(drift)),
+        notes=(*dict.fromkeys((*joined.notes, *base.notes)), _in_words(drift)),
     )
 
 

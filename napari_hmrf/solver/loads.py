@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from napari_hmrf.arguments import reals, shown
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.solver.followers import followers_of
 from napari_hmrf.solver.neighbours import around_sites, in_elements
 from napari_hmrf.solver.real_arrays import (
     FloatArray,
@@ -169,6 +170,9 @@ class Loads:
                     f"{(*grid, axes)} is needed (one value per axis at each site).",
                 )
             nowhere = self.force.any(axis=-1) & ~around_sites(in_elements(stiffness), np.logical_or)
+            followers = followers_of(stiffness > 0) if nowhere.any() else None
+            if followers is not None:
+                nowhere.reshape(-1)[followers.sites] = False
             if nowhere.any():
                 raise ProblemError(
                     "force",

@@ -9,6 +9,7 @@ from napari_hmrf.arguments import require_kind
 from napari_hmrf.errors import ArgumentError
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.rigid.bodies import Bodies, bodies_of
+from napari_hmrf.solver.connected import connected
 from napari_hmrf.solver.drift import has_drift, with_drift_of
 from napari_hmrf.solver.priors import Elastic, ElasticPrior, NeoHookeanPrior, Prior
 from napari_hmrf.solver.problem import Problem, grid_in_words
@@ -75,6 +76,8 @@ def reactions(
         )
     if has_drift(problem, prior):
         problem = with_drift_of(problem, solution)
+    joined = connected(problem, prior)
+    problem = joined.problem
     forces = prior.forces(problem, solution.displacement)
     if problem.rigid.any():
         planes, known = host.planes(forces), host.planes(problem.known).astype(np.bool_)
@@ -84,4 +87,4 @@ def reactions(
         bodies = Bodies(bodies_of(problem.stiffness), prior.material(problem), known, moved)
         bodies.carry(planes)
         forces = host.field(planes)
-    return np.where(problem.known, forces * prior.force_unit(problem), 0.0)
+    return joined.returned(np.where(problem.known, forces * prior.force_unit(problem), 0.0))

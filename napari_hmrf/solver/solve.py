@@ -38,6 +38,7 @@ from napari_hmrf.solver.backends.compile_cache.loops import are_compiled
 from napari_hmrf.solver.backends.earlier_results import WarmStart
 from napari_hmrf.solver.backends.thread import STOPPED, compute_thread
 from napari_hmrf.solver.caveats import rigid_caveat
+from napari_hmrf.solver.connected import connected
 from napari_hmrf.solver.drift import has_drift, solve_with_drift
 from napari_hmrf.solver.elasticity import Elasticity
 from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid, Optimizer
@@ -340,6 +341,8 @@ def _solution_of(
     begun = time.perf_counter()
     check_memory(problem)
     given = prior or ElasticPrior()
+    joined = connected(problem, given)
+    whole, problem = problem, joined.problem
     prior = given.resolved(problem)
     optimizer = optimizer or (ICM() if isinstance(prior, SeilerPrior) else Multigrid())
     begin = combine_solutions(initial, problem) if initial else None
@@ -374,6 +377,7 @@ def _solution_of(
     done = time.perf_counter()
     displacement = outcome.displacement
     finite = host.settle(displacement, problem.tissue, problem.unit)
+    joined.extend(displacement)
     if not (finite and np.isfinite(outcome.energy).all()):
         raise BackendError(
             f"{renderer} returned NaN or infinite values, so the result was discarded. Check the "
@@ -384,13 +388,16 @@ def _solution_of(
     of_prior = dict(prior.parameters)
     if problem.is_volume:
         of_prior.pop("plane", None)  # a volume has no plane
+    energy = outcome.energy
+    if problem.tissue is not whole.tissue:  # an energy is reported per site of all tissue
+        energy = energy * np.count_nonzero(problem.tissue) / np.count_nonzero(whole.tissue)
     solution = Solution(
         displacement=displacement,
-        energy=outcome.energy,
+        energy=energy,
         levels=outcome.levels,
         convergence=outcome.convergence,
         reach=outcome.reach,
-        tissue=problem.tissue,
+        tissue=whole.tissue,
         spacing=problem.spacing,
         provenance=Provenance(
             backend=name,
@@ -403,13 +410,13 @@ def _solution_of(
                 "optimizer": optimizer.parameters,
             },
             versions=_versions(),
-            inputs=problem.digests,
+            inputs=whole.digests,
         ),
-        loads=problem.loads,
-        elasticity=Elasticity.of_problem(problem, prior, grown)
+        loads=whole.loads,
+        elasticity=Elasticity.of_problem(whole, prior, grown)
         if isinstance(prior, ElasticPrior | NeoHookeanPrior)
         else None,
-        notes=tuple(filter(None, (rigid_caveat(problem, given),))),
+        notes=(*filter(None, (rigid_caveat(whole, given),)), *joined.notes),
     )
     return solution if initial is None else nearest_to_targets(solution, initial)
 

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from napari_hmrf.solver.followers import followers_of
 from napari_hmrf.solver.rigid_modes import HeldTissue, free_pieces
 
 #: Smallest size of an observed piece that is never excluded, as a fraction of all tissue.
@@ -62,6 +63,7 @@ def scraps(tissue: npt.NDArray[np.bool_], held: npt.NDArray[np.bool_]) -> npt.ND
     ndarray of bool, shape (H, W)
         Mask of the loose pieces; read-only.
     """
+    held = _with_held_followers(tissue, held)
     for search in _last_search:
         if search.is_valid_for(tissue, held):
             return search.pieces
@@ -69,6 +71,21 @@ def scraps(tissue: npt.NDArray[np.bool_], held: npt.NDArray[np.bool_]) -> npt.ND
     pieces.setflags(write=False)
     _last_search[:] = [_Search(HeldTissue(tissue.copy(), held.copy()), pieces, is_rest_held)]
     return pieces
+
+
+def _with_held_followers(
+    tissue: npt.NDArray[np.bool_], held: npt.NDArray[np.bool_]
+) -> npt.NDArray[np.bool_]:
+    """Return a mask that includes the nearest connected sites of orphans with an observation."""
+    found = followers_of(tissue)
+    if found is None:
+        return held
+    flat = held.reshape(-1, held.shape[-1])
+    if not flat[found.sites].any():
+        return held
+    wider = flat.copy()
+    np.logical_or.at(wider, found.nearest, flat[found.sites])
+    return wider.reshape(held.shape)
 
 
 def _scraps(

@@ -113,7 +113,7 @@ def sliding_surface(
             f"has shape {paint.shape}, but stiffness has shape {tissue.shape}. Use the same image "
             "or volume for both.",
         )
-    # Sites without an element, such as a spur one pixel wide, do not move.
+    # Sites without an element, such as a spur one pixel wide, follow others and need no normal.
     tissue = around_sites(in_elements(tissue), np.logical_or)
     size = np.array(checked_spacing(spacing, tissue.ndim))
     size /= size.max()

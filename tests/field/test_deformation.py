@@ -94,7 +94,7 @@ def test_a_negative_determinant_beside_a_hole_is_not_a_fold():
     tissue = np.ones((3, 3), dtype=bool)
     tissue[0, 0] = False
     d = np.zeros((3, 3, 2))
-    d[0, 1] = (1.5, -0.4)  # next to the hole and past the row below, but no element has this corner
+    d[0, 1] = (3.5, 0)  # between the holes and past the row below, but in no element
     tissue[0, 2] = False
     assert count_folds(d, spacing=1, tissue=tissue) == 0
     assert (jacobian_determinant(d, spacing=1, tissue=tissue)[tissue] <= 0).any()

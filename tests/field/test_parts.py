@@ -43,7 +43,7 @@ def test_a_slip_is_neither_a_fold_nor_a_strain(shape):
     assert abs(small_strain(slipped, spacing=1)).max() > 1
     assert count_folds(slipped, spacing=1, parts=parts) == 0
     assert not fold_mask(slipped, spacing=1, parts=parts).any()
-    assert abs(small_strain(slipped, spacing=1, parts=parts)).max() == 0
+    assert abs(small_strain(slipped, spacing=1, parts=parts)).max() < 1e-12
     assert (jacobian_determinant(slipped, spacing=1, parts=parts) == 1).all()
 
 

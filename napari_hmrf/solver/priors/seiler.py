@@ -229,14 +229,22 @@ def _inside(problem: Problem) -> Slices:
     return (slice(2, -2),) * len(problem.shape)
 
 
-def in_cliques(problem: Problem) -> npt.NDArray[np.bool_]:
-    """Return, per component, the mask of sites in a clique that contributes to it, (H, W, 2)."""
-    mask = np.zeros(problem.observed.shape, dtype=np.bool_)
-    carried = line_weights(problem.spacing) > 0
-    for line, sites in _cliques(problem.shape):
-        exists = np.logical_and.reduce([problem.tissue[at] for at in sites])
-        for at in sites:
-            mask[at] |= exists[..., None] & carried[line]
+def in_cliques(tissue: npt.NDArray[np.bool_], spacing: tuple[float, ...]) -> npt.NDArray[np.bool_]:
+    """Return, per component, the mask of sites in a clique that contributes to it, (2, H, W).
+
+    Parameters
+    ----------
+    tissue : ndarray of bool, shape (H, W) or (D, H, W)
+    spacing : tuple of float
+        Size of a pixel along each axis.
+    """
+    mask = np.zeros((tissue.ndim, *tissue.shape), dtype=np.bool_)
+    carried = line_weights(spacing) > 0
+    for line, sites in _cliques(tissue.shape):
+        exists = np.logical_and.reduce([tissue[at] for at in sites])
+        for component in np.flatnonzero(carried[line]):
+            for at in sites:
+                mask[component][at] |= exists
     return mask
 
 
