@@ -148,7 +148,7 @@ def test_invalid_arguments_are_reported_before_any_solve(files, capsys):
     said = capsys.readouterr().err
     assert "count must be" in said
     assert "amplitude must be" in said
-    assert "without a stiffness: 2" in said
+    assert "without a material: 2" in said
 
 
 def test_a_slice_of_a_volume_with_tissue_maps_keeps_its_position(tmp_path):

@@ -354,7 +354,7 @@ def test_invalid_arguments_are_rejected_before_any_solve(wrong, said):
 
 
 def test_a_label_without_a_material_and_an_invalid_seed_are_rejected():
-    with pytest.raises(ProblemError, match="without a stiffness: 3"):
+    with pytest.raises(ProblemError, match="without a material: 3"):
         RandomDeformation(labels(), MATERIALS[:3], spacing=1)
     with pytest.raises(ArgumentError, match="seed must be"):
         deformation_2d().sample("yes")

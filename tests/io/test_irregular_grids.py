@@ -26,11 +26,11 @@ from napari_hmrf.io.nifti import _HEADER
 from napari_hmrf.io.segmentation_tables import read_label_names
 from napari_hmrf.landmarks import read_points
 from napari_hmrf.solver.solution import Provenance, Solution
+from tests.support.stored_scans import SHAPE, STORED, write_scan
 
 sitk = pytest.importorskip("SimpleITK")
 
 AXIAL, SAGITTAL = (1, 0, 0, 0, 1, 0), (0, 1, 0, 0, 0, -1)
-SHAPE = (5, 6, 7)
 
 
 def write_slice(path, position, direction=AXIAL, slope=b"", value=3):
@@ -339,18 +339,6 @@ def solution_of(displacement, frame=None, spacing=(1.0, 1.0)):
     tissue = np.ones(displacement.shape[:-1], bool)
     run = Provenance("cpu", "here")
     return Solution(displacement, np.zeros(1), (), tissue, tuple(spacing), run, frame=frame)
-
-
-STORED = {"PIR": (1, 2, 0), "SAR": (2, 1, 0), "LPS": (0, 1, 2)}
-
-
-def write_scan(path, order):
-    """Write a volume of 5 x 6 x 7 voxels of 2 x 1 x 1 mm, with its axes in another order."""
-    image = sitk.GetImageFromArray(np.ones(SHAPE, np.float32))
-    image.SetSpacing((1, 1, 2))
-    image.SetOrigin((3, 4, 5))
-    sitk.WriteImage(sitk.PermuteAxes(image, order), str(path))
-    return path
 
 
 @pytest.mark.parametrize("order", STORED.values(), ids=STORED)

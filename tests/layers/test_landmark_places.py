@@ -10,7 +10,7 @@ from napari_hmrf.contributions import open_landmarks, open_scan
 from napari_hmrf.io.case import read_case
 from napari_hmrf.io.case_options import Case
 from napari_hmrf.layers.slice_view import frame_of
-from tests.io.test_irregular_grids import SHAPE, STORED, write_scan
+from tests.support.stored_scans import SHAPE, STORED, write_scan
 
 
 @pytest.mark.parametrize("order", STORED.values(), ids=STORED)

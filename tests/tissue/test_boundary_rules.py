@@ -49,7 +49,7 @@ def test_every_pixel_has_the_stiffness_of_its_material():
 
 
 def test_an_error_names_all_labels_without_a_stiffness():
-    with pytest.raises(ProblemError, match="labels without a stiffness: 3, 9") as caught:
+    with pytest.raises(ProblemError, match="labels without a material: 3, 9") as caught:
         stiffness_image(np.array([[1, 3], [9, 1]]), TISSUES)
     assert caught.value.field == "stiffness"
 
