@@ -80,9 +80,9 @@ def test_the_reported_error_includes_the_turn_of_a_flap_beside_a_gap(seed):
     problem = problem.with_rest(scraps(problem.tissue, problem.known))
     prior = ElasticPrior(0.45)
     solution = solve(problem, prior, optimizer=Multigrid(0.01), backend="cpu")
-    off = solution.displacement - direct_solution(problem, prior)
+    off = np.linalg.norm(solution.displacement - direct_solution(problem, prior), axis=-1)
     assert solution.convergence.way == "cycles"
-    assert np.linalg.norm(off, axis=-1).max() <= 1.05 * solution.convergence.error
+    assert off[problem.tissue].max() <= 1.05 * solution.convergence.error
 
 
 def test_the_reported_error_is_a_bound_with_shaders():
