@@ -5,6 +5,9 @@ import itertools
 import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
+from followed import followed
+
+from napari_hmrf import SeilerPrior
 
 
 def weights_of(step, spacing):
@@ -47,6 +50,7 @@ def cliques(problem):
         yield s[there], t[there], u[there], weights_of(step, problem.spacing)
 
 
+@followed(lambda: SeilerPrior())
 def field_of_means(problem):
     """Return the field in which each site is the weighted mean of its neighbours, by SuperLU."""
     m = problem.stiffness.astype(float).ravel()

@@ -6,8 +6,11 @@ import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 import skfem
+from followed import followed
 from scipy import ndimage
 from skfem.helpers import ddot, div, sym_grad
+
+from napari_hmrf import ElasticPrior
 
 MIDDLE = np.full((3, 1), 0.5), np.ones(1)
 
@@ -56,6 +59,7 @@ def by_superlu(matrix, right):
     return spl.spsolve(matrix, right, permc_spec="MMD_AT_PLUS_A")
 
 
+@followed(lambda poisson, *_: ElasticPrior(poisson))
 def direct_solution(problem, poisson, locking=False, load=None, held=None, solved=by_superlu):
     """Return the field of least energy, in the unit of the problem.
 

@@ -147,10 +147,16 @@ def _kinds(kind: type | UnionType) -> str:
 
 
 def checked_path(path: Any) -> str:
-    """Convert a path to str; raise `ArgumentError` if the value does not name a file."""
+    """Convert a path to str; raise `ArgumentError` if the value is not a path."""
     text = os.fsdecode(path) if isinstance(path, str | os.PathLike) else ""
-    names_file = Path(text).name not in ("", "..")
-    refuse_unless(names_file and "\0" not in text, "path", path, "the name of a file")
+    refuse_unless(bool(text) and "\0" not in text, "path", path, "the name of a file")
+    return text
+
+
+def checked_target(path: Any) -> str:
+    """Convert the path of a file to write to str; raise `ArgumentError` if it is a folder's."""
+    text = checked_path(path)
+    refuse_unless(Path(text).name not in ("", ".."), "path", path, "the name of a file")
     return text
 
 

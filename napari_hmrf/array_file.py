@@ -25,7 +25,7 @@ from typing import IO, Any, BinaryIO, Generic, Literal, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.arguments import checked_path
+from napari_hmrf.arguments import checked_path, checked_target
 from napari_hmrf.atomic_write import is_stream, write_whole
 from napari_hmrf.errors import FileFormatError
 from napari_hmrf.regular_file import refuse_irregular
@@ -208,7 +208,7 @@ def write(path: str | os.PathLike[str], form: Format[T], value: T) -> Path:
     ValueError
         If the object violates the format, so that the file could not be read again.
     """
-    target = Path(checked_path(path))
+    target = Path(checked_target(path))
     if not is_stream(target):
         target = Path(os.path.realpath(target))
         if not target.suffix:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from napari_hmrf.arguments import checked_path, did_you_mean
+from napari_hmrf.arguments import checked_target, did_you_mean
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError
 from napari_hmrf.regular_file import read_at_most
@@ -206,7 +206,7 @@ def write_csv(
     OSError
         If the file cannot be written.
     """
-    target = Path(checked_path(path))
+    target = Path(checked_target(path))
     if target.suffix.lower() != ENDING:
         raise FileFormatError(
             f"{target.name}: {what} are saved as comma-separated text. End the name in {ENDING}."

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.arguments import checked_path
+from napari_hmrf.arguments import checked_path, checked_target
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.io.fields import Place, require_right_angles
@@ -385,7 +385,7 @@ def write_image(path: str | os.PathLike[str], image: ImageFile) -> Path:
     HmrfError, OSError
         As for `read_image`.
     """
-    target = Path(checked_path(path))
+    target = Path(checked_target(path))
     name = target.name.lower()
     kinds = (*PICTURE_SUFFIXES, *(each for each in MEDICAL_SUFFIXES if each not in _PARTED))
     suffix = next((each for each in kinds if name.endswith(each)), "")

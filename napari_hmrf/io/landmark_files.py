@@ -28,7 +28,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.arguments import checked_path, did_you_mean
+from napari_hmrf.arguments import checked_path, checked_target, did_you_mean
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError, ProblemError
 from napari_hmrf.field.units import unit_factor
@@ -198,7 +198,7 @@ def write_points(
     OSError
         If the file cannot be written.
     """
-    target = Path(checked_path(path))
+    target = Path(checked_target(path))
     suffix = _suffix(target)
     starts = _checked("points", points)
     ends = None if targets is None else _checked("targets", targets)

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from pydantic import TypeAdapter
 
 from napari_hmrf import array_file
-from napari_hmrf.arguments import checked_path, require_kind
+from napari_hmrf.arguments import checked_target, require_kind
 from napari_hmrf.array_file import Invalid, Kind
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.field.frame import Frame
@@ -119,7 +119,7 @@ def write_study(
     if solution is not None:
         require_kind(Solution, "solution", solution, "the result of solve_study()")
         _refuse_other_grid(study.grid, solution)
-    target = Path(checked_path(path))
+    target = Path(checked_target(path))
     if not target.suffix:
         target = target.with_name(target.name + SUFFIX)
     return array_file.write(target, STUDY_FORMAT, _Content(study, solution, image, overlay=overlay))

@@ -343,7 +343,7 @@ def _solution_of(
     given = prior or ElasticPrior()
     joined = connected(problem, given)
     whole, problem = problem, joined.problem
-    prior = given.resolved(problem)
+    prior = given.resolved(whole if isinstance(given, SeilerPrior) else problem)
     optimizer = optimizer or (ICM() if isinstance(prior, SeilerPrior) else Multigrid())
     begin = combine_solutions(initial, problem) if initial else None
     resolving = time.perf_counter() - begun
@@ -389,8 +389,10 @@ def _solution_of(
     if problem.is_volume:
         of_prior.pop("plane", None)  # a volume has no plane
     energy = outcome.energy
-    if problem.tissue is not whole.tissue:  # an energy is reported per site of all tissue
-        energy = energy * np.count_nonzero(problem.tissue) / np.count_nonzero(whole.tissue)
+    if problem.tissue is not whole.tissue and isinstance(prior, SeilerPrior):
+        # An energy is reported per site of all tissue, and the last one is that of the field.
+        energy = energy * (np.count_nonzero(problem.tissue) / np.count_nonzero(whole.tissue))
+        energy[-1] = prior.mean_energy(whole, displacement)
     solution = Solution(
         displacement=displacement,
         energy=energy,

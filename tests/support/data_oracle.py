@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
+from followed import followed
 
 from napari_hmrf.loads import Loads
 from napari_hmrf.solver.priors.elements import element_stiffness
@@ -62,6 +63,7 @@ def with_data(problem, matrix, load) -> tuple[sp.csr_array, np.ndarray]:
     return matrix, load
 
 
+@followed(lambda prior: prior)
 def posterior_mean(problem, prior) -> np.ndarray:
     """Return the field of least energy, in the unit of the problem; prescribed where c = 1."""
     matrix = elastic_matrix(problem, prior)
