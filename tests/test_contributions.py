@@ -269,7 +269,7 @@ def test_a_scan_is_opened_at_its_place_in_the_patient(tmp_path):
     path = str(write_image(tmp_path / "head.scan.nii.gz", ImageFile(pixels, place)))
     ((data, attributes, kind),) = open_scan(path)(path)
     layer = Layer.create(data, attributes, kind)
-    assert layer.name == "head"
+    assert layer.name == "head.scan"
     assert [str(unit) for unit in layer.units] == ["millimeter"] * 3
     np.testing.assert_array_equal(layer.data, pixels)
     for z, y, x in ((0, 0, 0), (3, 4, 5), (1, 4, 0)):

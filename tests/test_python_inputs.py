@@ -115,7 +115,8 @@ def test_python_and_the_shell_read_the_same_tissue_from_maps(tmp_path):
 
 def test_published_stiffness_is_found_by_name_and_unknown_names_are_refused():
     tissue = Tissue.from_maps(maps())
-    assert [row.label for row in tissue.materials] == [1, 2]
+    assert [row.label for row in tissue.materials] == [0, 1, 2]
+    assert tissue.materials[0].stiffness == tissue.materials[1].stiffness
     assert tissue.unit == "kPa"
     pull = np.zeros(SHAPE, int)
     pull[9:12, 10:13] = 1

@@ -33,7 +33,7 @@ from napari_hmrf.solver.problem import checked_spacing, grid_in_words, whole_num
 from napari_hmrf.solver.uncertain_landmarks import StrainScale
 from napari_hmrf.study.measured_motion import MeasuredMotion
 from napari_hmrf.study.models import USUAL_OPTIMIZER, USUAL_PRIOR, is_by_name, parts_of
-from napari_hmrf.tissue.boundary_rules import FORCES, BoundaryRule, Material
+from napari_hmrf.tissue.boundary_rules import FORCES, BoundaryRule, Material, default_material
 from napari_hmrf.tissue.cavity import Cavity
 from napari_hmrf.tissue.drawing import Drawing, Landmark, Stroke
 from napari_hmrf.tissue.material_presets import Preset
@@ -315,14 +315,19 @@ class Tissue:
         refuse_unless(isinstance(maps, Mapping), "maps", maps, requirement)
         labels = most_likely(maps, scale)
         if materials is not None:
-            return cls(labels=labels, materials=materials_of_maps([*maps], materials), unit=unit)
-        published = materials_by_name(dict(enumerate(maps, 1)))
-        if published.unknown:
-            names = ", ".join(f"'{name}'" for name in published.unknown.values())
-            raise ProblemError(
-                "tissue", f"has no published stiffness for {names}. Pass materials of these names."
-            )
-        return cls(labels=labels, materials=published.materials, unit=published.unit)
+            rows = materials_of_maps([*maps], materials)
+        else:
+            published = materials_by_name(dict(enumerate(maps, 1)))
+            if published.unknown:
+                names = ", ".join(f"'{name}'" for name in published.unknown.values())
+                requirement = (
+                    f"has no published stiffness for {names}. Pass materials of these names."
+                )
+                raise ProblemError("tissue", requirement)
+            rows, unit = published.materials, published.unit
+        if 0 in labels and all(row.label for row in rows):
+            rows = (default_material(0, rows), *rows)
+        return cls(labels=labels, materials=rows, unit=unit)
 
     def __post_init__(self) -> None:
         _check_arrays(self, "labels", "stiffness")
