@@ -108,6 +108,7 @@ def test_python_and_the_shell_read_the_same_tissue_from_maps(tmp_path):
     )
     np.testing.assert_array_equal(tissue.labels, of_shell.tissue.labels)
     assert [(row.label, row.name) for row in tissue.materials] == [
+        (0, "everything unpainted"),
         (1, "grey matter"),
         (2, "white matter"),
     ]

@@ -13,6 +13,7 @@ from napari_hmrf.field.directions import Directions
 from napari_hmrf.field.inverse_point import farthest_of, inverse_point
 from napari_hmrf.field.moved_points import moved_points
 from napari_hmrf.field.quantities import area_change, values_of
+from napari_hmrf.solver.followers import followers_of
 from napari_hmrf.solver.solution import Solution
 
 #: Remark after the area change at a fold, where the displayed value is the smallest determinant of
@@ -133,7 +134,7 @@ class Points:
             return None
         step = solution.displacement[site]
         # The values at a site depend only on neighbouring sites; computing all sites would be slow.
-        around = tuple(slice(max(at - 1, 0), at + 2) for at in site)
+        around = self._neighbourhood(site)
         near = replace(
             solution,
             displacement=solution.displacement[around],
@@ -142,7 +143,7 @@ class Points:
             elasticity=solution.elasticity
             and solution.elasticity.mapped(lambda values: values[around]),
         )
-        middle = tuple(min(at, 1) for at in site)
+        middle = tuple(at - part.start for at, part in zip(site, around, strict=True))
         return Probe(
             site,
             tuple(step.tolist()),
@@ -150,6 +151,18 @@ class Points:
             float(area_change(near)[middle]),
             float(values_of(near, "equivalent")[middle]),
         )
+
+    def _neighbourhood(self, site: tuple[int, ...]) -> tuple[slice, ...]:
+        """Return the box of the sites that determine the values at a site."""
+        tissue = self._solution.tissue
+        corners, margin = np.array([site]), 1
+        found = followers_of(tissue, self._solution.parts)
+        sources = () if found is None else found.followed_by(site, tissue.shape)
+        if len(sources):
+            # The fit of an orphan also needs the elements of the sites that it follows.
+            corners, margin = np.vstack([corners, sources]), 2
+        low, high = np.maximum(corners.min(axis=0) - margin, 0), corners.max(axis=0) + margin + 1
+        return tuple(map(slice, low.tolist(), high.tolist()))
 
     def _site_at(self, place: tuple[float, ...], fraction: float) -> tuple[int, ...] | None:
         """Return the undeformed pixel of the tissue at a displayed position, or None."""

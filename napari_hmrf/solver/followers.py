@@ -100,6 +100,12 @@ class Followers:
         flat[self.sites] = 0
         return moved
 
+    def followed_by(self, site: tuple[int, ...], shape: tuple[int, ...]) -> Indices:
+        """Return the positions, shape (s, axes), of the sites that an orphan follows, or none."""
+        number = np.flatnonzero(self.sites == np.ravel_multi_index(site, shape))
+        columns = self.values[number].indices
+        return np.stack(np.unravel_index(self.sources[columns], shape), axis=-1)
+
     def _of_sources(self, field: npt.NDArray[Any]) -> Float64Array:
         flat = field.reshape(-1, field.shape[-1])
         return np.asarray(flat[self.sources], dtype=np.float64)
