@@ -96,6 +96,7 @@ class SharedDock:
                 new.restore_controls()
                 new.restore_attributes()
                 dock.fields.show_for(dock.fields._tool)
+                new.restore_visibility()
             dock.show_message("")
             return new.difference()
         except Exception as error:  # noqa: BLE001 - a test may leave the dock in any state
@@ -120,6 +121,7 @@ class _State:
         for shared in _shared[viewer].values():
             self._record(shared)
         self._controls = [(each, _state(each, dock.native)) for each in _controls(dock)]
+        self._hidden = [(each, each.isHidden()) for each in _parts(dock)]
 
     def _record(self, root):
         """Record the attributes of an object and of all objects of the package it refers to."""
@@ -150,6 +152,12 @@ class _State:
                 _write(control, value)
         QApplication.processEvents()
 
+    def restore_visibility(self):
+        """Show and hide the same parts of the dock as when it was new."""
+        for part, is_hidden in self._hidden:
+            if part.isHidden() != is_hidden:
+                part.setHidden(is_hidden)
+
     def restore_attributes(self):
         """Give each attribute its first value, and each signal its first callbacks."""
         for item, attributes in self._attributes:
@@ -172,7 +180,8 @@ class _State:
         native = self._dock.native
         for control, before in self._controls:
             if (now := _state(control, native)) != before:
-                name = control.accessibleName() or control.objectName()
+                text = control.text() if isinstance(control, QAbstractButton) else ""
+                name = text or control.accessibleName() or control.objectName()
                 return f"{type(control).__name__} {name}: {now} is not {before}"
         return ""
 
@@ -188,18 +197,23 @@ def _is_stateful(item):
     return not (dataclasses.is_dataclass(item) and parameters and parameters.frozen)
 
 
-def _controls(dock):
-    """Return all Qt controls of a dock that hold a value."""
-    kinds = QAbstractButton, QAbstractSlider, QAbstractSpinBox, QComboBox, QLineEdit
-    inner = QScrollBar, QAbstractItemView  # set by Qt
+def _parts(dock):
+    """Return all widgets of a dock, without its windows and the parts that Qt adds."""
+    inner = QAbstractItemView, QAbstractSpinBox, QComboBox
     return [
         each
         for each in dock.native.findChildren(QWidget)
-        if isinstance(each, kinds)
-        and not isinstance(each, inner)
-        and not isinstance(each.parent(), QAbstractSpinBox)
-        and not isinstance(each.parent().parent(), QAbstractItemView)  # a cell of a table
+        if not each.isWindow()
+        and not isinstance(each, QScrollBar)
+        and not isinstance(each.parent(), inner)
+        and not isinstance(each.parent().parent(), inner)  # such as a cell of a table
     ]
+
+
+def _controls(dock):
+    """Return all Qt controls of a dock that hold a value."""
+    kinds = QAbstractButton, QAbstractSlider, QAbstractSpinBox, QComboBox, QLineEdit
+    return [each for each in _parts(dock) if isinstance(each, kinds)]
 
 
 def _state(control, native):
