@@ -80,7 +80,8 @@ def _solution_to_keep(moved: Deformation, ground: Ground) -> Solution:
         solution = replace(solution, displacement=field, tissue=body)
     if study.motion.drawing.marks:
         solution = replace(solution, frame={"drawing": record_of(study.motion.drawing)})
-    if study.tissue.record:
-        parameters = {**solution.provenance.parameters, "tissue": dict(study.tissue.record)}
+    if study.tissue.record or study.tissue.stiffness_unit:
+        record = {"unit": study.tissue.stiffness_unit, **study.tissue.record}
+        parameters = {**solution.provenance.parameters, "tissue": record}
         solution = replace(solution, provenance=replace(solution.provenance, parameters=parameters))
     return solution

@@ -105,8 +105,8 @@ class Solution:
         Loads of the problem, and the growth of a drift, for warm starts from this solution. Files
         contain only the digest of the loads.
     elasticity : Elasticity, optional
-        Poisson's ratios and growth of elastic tissue, from which `strain` and `measure` compute
-        elastic strain. None for the paper's model.
+        Stiffness, Poisson's ratios and growth of elastic tissue, from which `strain`, `stress` and
+        `measure` compute elastic strain and stress. None for the paper's model.
     notes : tuple of str
         Clauses for the user about input without effect, assumptions and shortcomings. Files do not
         contain the notes.
@@ -267,6 +267,83 @@ class Solution:
             return elastic_strain(self)
         of_field = green_lagrange_strain if kind == "total" else small_strain
         return of_field(self.displacement, **self.on_grid)
+
+    def stress(self, *, at: Literal["sites", "elements"] = "sites") -> npt.NDArray[np.float32]:
+        """Return the Cauchy stress of elastic tissue, without growth.
+
+        Parameters
+        ----------
+        at : {"sites", "elements"}
+            "elements" is the stress of the model at the centre of each block of 2 x 2 (2 x 2 x 2)
+            sites. "sites" is the mean over the elements around each site.
+
+        Returns
+        -------
+        ndarray, float32
+            Symmetric tensors, shape ([D,] H, W, 3, 3), or one less along each axis of the grid for
+            elements, in `stress_unit`; positive in tension. For an image, the first axis is
+            perpendicular to the image. NaN outside tissue, in rigid tissue and at sites without
+            an element.
+
+        Raises
+        ------
+        ArgumentError
+            If `at` is not one of these values.
+        ProblemError
+            If the model has no stress, such as the paper's model.
+        """
+        from napari_hmrf.field.stress import stress_values  # above: field
+
+        return stress_values(self, at=at)
+
+    def von_mises(self, *, at: Literal["sites", "elements"] = "sites") -> npt.NDArray[np.float32]:
+        """Return the von Mises stress, as `von_mises_stress` of `stress`.
+
+        Parameters
+        ----------
+        at : {"sites", "elements"}
+            As for `stress`.
+
+        Returns
+        -------
+        ndarray, shape ([D,] H, W), or one less along each axis for elements, float32
+
+        Raises
+        ------
+        ArgumentError, ProblemError
+            As for `stress`.
+        """
+        from napari_hmrf.field.stress import stress_values, von_mises_stress  # above: field
+
+        return stress_values(self, von_mises_stress, at=at)
+
+    def pressure(self, *, at: Literal["sites", "elements"] = "sites") -> npt.NDArray[np.float32]:
+        """Return the pressure in the tissue, minus a third of the trace of `stress`.
+
+        Parameters
+        ----------
+        at : {"sites", "elements"}
+            As for `stress`.
+
+        Returns
+        -------
+        ndarray, shape ([D,] H, W), or one less along each axis for elements, float32
+            Positive where the tissue is compressed.
+
+        Raises
+        ------
+        ArgumentError, ProblemError
+            As for `stress`.
+        """
+        from napari_hmrf.field.stress import hydrostatic_pressure, stress_values  # above: field
+
+        return stress_values(self, hydrostatic_pressure, at=at)
+
+    @property
+    def stress_unit(self) -> str:
+        """Unit of stress and stiffness, such as "kPa"; "" if the stiffness is relative."""
+        tissue = self.provenance.parameters.get("tissue", {})
+        return str(tissue.get("unit", ""))
 
     def at(self, points: npt.ArrayLike, *, extend: bool = False) -> npt.NDArray[np.float64]:
         """Return the displacement at points of the tissue, interpolated linearly.
@@ -498,9 +575,9 @@ def _describe(solution: Solution) -> tuple[array_file.Header, array_file.Arrays]
             "plane": elasticity.plane,
             "finite": elasticity.finite,
         }
+        arrays["stiffness"] = elasticity.stiffness
         arrays |= {} if isinstance(nu, float) else {"poisson": nu}
         arrays |= {} if growth is None else {"growth": growth}
-        arrays |= {} if elasticity.rigid is None else {"rigid": elasticity.rigid}
     arrays |= {} if solution.removed is None else {"removed": solution.removed}
     arrays |= {} if solution.parts is None else {"parts": solution.parts}
     return header, arrays
@@ -584,7 +661,7 @@ SOLUTION_FORMAT: array_file.Format[Solution] = array_file.Format(
         "tissue": array_file.Kind(("|b1",), (2, 3)),
         "poisson": array_file.Kind(("<f4",), (2, 3), optional=True),
         "growth": array_file.Kind(("<f4",), (2, 3, 4, 5), optional=True),
-        "rigid": array_file.Kind(("|b1",), (2, 3), optional=True),
+        "stiffness": array_file.Kind(("<f4", "<f8"), (2, 3), optional=True),
         "removed": array_file.Kind(("|b1",), (2, 3), optional=True),
         "parts": array_file.Kind(("<i4",), (2, 3), optional=True),
     },

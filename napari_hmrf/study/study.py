@@ -318,6 +318,11 @@ class Tissue:
             )
         return cls(labels=labels, materials=published.materials, unit=published.unit)
 
+    @property
+    def stiffness_unit(self) -> str:
+        """Unit of stiffness and stress: that of the tissue or of its curve; "" if relative."""
+        return self.unit or ("" if self.curve is None else self.curve.unit)
+
     def __post_init__(self) -> None:
         _check_arrays(self, "labels", "stiffness")
         _take_whole_labels(self)
