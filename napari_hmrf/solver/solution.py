@@ -108,8 +108,8 @@ class Solution:
         Stiffness, Poisson's ratios and growth of elastic tissue, from which `strain`, `stress` and
         `measure` compute elastic strain and stress. None for the paper's model.
     notes : tuple of str
-        Clauses for the user about input without effect, assumptions and shortcomings. Files do not
-        contain the notes.
+        Clauses for the user about input without effect, assumptions and shortcomings. In scripts,
+        each is also a `NoteWarning`.
     unit : str
         Unit of `spacing` and `displacement`, such as "mm", as in the `Grid` of a study; "" if
         unknown, as for a `Problem`.
@@ -157,11 +157,13 @@ class Solution:
         farthest = float(np.linalg.norm(self.displacement, axis=-1).max(initial=0.0))
         run = self.provenance
         near = "" if self.convergence is None else f", within {self.convergence.error:.1g} px"
+        count = len(self.notes)
+        noted = f", {count} note{'s' * (count > 1)}" if count else ""
         return (
             f"Solution({grid_in_words(self.tissue.shape)} sites of {grid_in_words(self.spacing)}"
             f"{unit or ' (unit unknown)'}, {run.model or 'unknown model'}, moved up to "
             f"{farthest:.3g}{unit}, {self.iterations} iterations in {run.seconds:.2g} s on "
-            f"{run.backend}{near})"
+            f"{run.backend}{near}{noted})"
         )
 
     @property
@@ -564,6 +566,7 @@ def _describe(solution: Solution) -> tuple[array_file.Header, array_file.Arrays]
         "frame": solution.frame,
         "convergence": None if reached is None else asdict(reached),
         "reach": None if got is None else asdict(got),
+        "notes": list(solution.notes),
     }
     arrays = {name: getattr(solution, name) for name in ("displacement", "energy", "tissue")}
     if solution.displacement.dtype != np.float64:
@@ -625,6 +628,7 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> Solution:
         else Convergence(float(reached["error"]), float(reached["residual"]), str(reached["way"])),
         frame=frame,
         reach=_reach(header["reach"]),
+        notes=tuple(map(str, header["notes"])),
         elasticity=read_elasticity(header, arrays),
         unit=str(header["unit"]),
         removed=removed,
