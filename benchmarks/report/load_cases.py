@@ -121,7 +121,7 @@ def to_calculix(case: Case, plane: str, nu: float) -> tuple[float, float, float]
     found = solve(problem, prior, optimizer=Multigrid(1e-5), backend="cpu")
     theirs = by_calculix(case, nu, plane == "stress")
     off = float(np.abs(found.displacement - theirs)[problem.tissue].max())
-    holds = reactions(problem, found, prior).reshape(-1, axes).sum(axis=0)
+    holds = reactions(problem, found).reshape(-1, axes).sum(axis=0)
     loads = problem.loads
     given = np.zeros(axes)
     if loads is not None and loads.force is not None:

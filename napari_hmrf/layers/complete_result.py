@@ -56,7 +56,7 @@ def complete_result(
     ground = replace(ground, study=study)
     forces = estimate = None
     if isinstance(stated.prior, Elastic):
-        forces = partial(held_forces, stated.problem, solved, stated.prior)
+        forces = partial(held_forces, stated.problem, solved)
     if isinstance(stated.prior, ElasticPrior):
         labels = pictures.labels
         is_quick = labels is None or len(np.unique(labels)) <= _MOST_LABELS

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf import array_file
-from napari_hmrf.solver.priors import Elastic, NeoHookeanPrior
+from napari_hmrf.solver.priors import Elastic, ElasticPrior, NeoHookeanPrior
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE, Plane
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.real_arrays import FloatArray
@@ -64,6 +64,12 @@ class Elasticity:
             growth = growth * np.float32(grown)
         finite = isinstance(prior, NeoHookeanPrior)
         return cls(problem.stiffness, prior.poisson, prior.plane, finite, growth)
+
+    @property
+    def prior(self) -> Elastic:
+        """Prior of this tissue, without its penalty, on which no force depends."""
+        kind = NeoHookeanPrior if self.finite else ElasticPrior
+        return kind(self.poisson, plane=self.plane)
 
     def mapped(self, change: Callable[[npt.NDArray[Any]], npt.NDArray[Any]]) -> Elasticity:
         """Return the properties at other sites; `change` maps each array to these sites."""

@@ -82,6 +82,7 @@ class Solution:
         Components in (row, col) order, in the unit of `spacing`. Material displacement
         (push-forward): tissue at X moves to X + d(X). Zero where there is no tissue. The type is
         float64, also in files, if float32 would exceed the tolerance or fold a crushed pixel.
+        Read-only.
     energy : ndarray, shape (iterations,), float64
         Mean total energy per site of tissue after each iteration, coarse to fine, in pixels
         squared, minus the work of loads; one value if no iteration was needed. For multigrid with
@@ -151,6 +152,10 @@ class Solution:
                 f"has a displacement of shape {self.displacement.shape}, tissue of shape {shape} "
                 f"and the spacing {shown(self.spacing)}. Use the same grid for all three.",
             )
+        if self.displacement.flags.writeable:
+            field = self.displacement.view()
+            field.setflags(write=False)
+            object.__setattr__(self, "displacement", field)
 
     def __repr__(self) -> str:
         unit = self._unit_in_words

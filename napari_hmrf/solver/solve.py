@@ -371,6 +371,8 @@ def _solution_of(
             "damping of the prior and the size of the observed displacement; if both are "
             'reasonable, try backend="cpu".'
         )
+    # The solution keeps this array itself, because warm starts recognize it.
+    displacement.setflags(write=False)
     grown = 1.0 if outcome.reach is None else outcome.reach.grown
     of_prior = dict(prior.parameters)
     if problem.is_volume:

@@ -56,6 +56,12 @@ def solution():
     return Solution(d, np.zeros(1), (), tissue, SIZE, run, elasticity=elasticity)
 
 
+def test_the_displacement_cannot_be_changed_by_accident(solution):
+    with pytest.raises(ValueError, match="read-only"):
+        solution.displacement[0, 0] = 1
+    assert replace(solution, unit="mm").displacement is solution.displacement
+
+
 def test_methods_equal_the_functions_with_spacing_and_tissue(solution, tmp_path):
     d, on = solution.displacement, {"spacing": SIZE, "tissue": solution.tissue}
     photo = np.random.default_rng(6).random((20, 24))

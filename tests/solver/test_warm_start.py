@@ -149,7 +149,9 @@ def test_copied_or_modified_solutions_are_not_trusted_as_a_warm_start():
     place = np.s_[30:36, 44:50]
     assert PROBLEM.tissue[place].all()
     assert not PROBLEM.known[place].any(), "the modified pixels should not be observed"
-    known[1].displacement[place] += 0.3
+    field = known[1].displacement.copy()
+    field[place] += 0.3
+    known[1] = replace(known[1], displacement=field)
     found = solve(moved_problem(2), PRIOR, optimizer=TOLERANT, backend="cpu", initial=known)
     assert found.iterations > 0
     exact = solve(moved_problem(2), PRIOR, optimizer=Multigrid(1e-5), backend="cpu")

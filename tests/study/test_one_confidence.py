@@ -93,7 +93,7 @@ def test_the_field_is_exact_for_mixed_certain_and_uncertain_observations(seed):
 def test_the_force_of_an_uncertain_observation_is_limited_by_its_confidence(kind):
     problem, prior = uncertain_problem(), kind()
     found = solve(problem, prior, backend="cpu")
-    forces = np.abs(reactions(problem, found, prior)) / prior.force_unit(problem)
+    forces = np.abs(reactions(problem, found)) / prior.force_unit(problem)
     doubtful = (problem.confidence > 0) & (problem.confidence < 1)
     most = problem.confidence[doubtful]
     assert (forces[doubtful] <= 1.01 * most).all()

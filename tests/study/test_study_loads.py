@@ -209,7 +209,7 @@ def test_the_support_of_a_block_bears_its_weight():
     table[-1] = 1
     heavy = weight(block, (0.02, 0.0), spacing=1)
     problem = Problem(0 * table, table, block, loads=heavy)
-    (part,) = held_forces(problem, solve(problem), ElasticPrior())
+    (part,) = held_forces(problem, solve(problem))
     assert not part.moves
     assert part.sites == 16
     assert part.centre == (9.0, 7.5)
@@ -221,7 +221,7 @@ def test_pulled_and_fixed_regions_have_opposite_forces():
     c[:, 0] = c[4:8, -1] = 1
     y[4:8, -1, 1] = 1.0
     problem = Problem(y, c, np.ones((12, 20)))
-    pulled, held = held_forces(problem, solve(problem), ElasticPrior())
+    pulled, held = held_forces(problem, solve(problem))
     assert (pulled.moves, held.moves) == (True, False)
     assert pulled.force[1] > 0.1
     np.testing.assert_allclose(np.add(pulled.force, held.force), 0, atol=2e-3)
