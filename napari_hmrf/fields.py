@@ -16,6 +16,7 @@ from napari_hmrf.field.deformation import (
     deformation_grid,
     jacobian_determinant,
     magnitude,
+    rmsd,
 )
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.live_warp import Picture, Warper
@@ -59,6 +60,7 @@ __all__ = [
     "principal_strains",
     "read_field",
     "resample",
+    "rmsd",
     "small_strain",
     "strain_through_slice",
     "von_mises_stress",
