@@ -229,7 +229,7 @@ def _is_initial(value: object) -> bool:
 _ARGUMENTS: dict[str, tuple[Callable[[object], bool], str]] = {
     "problem": (
         lambda value: isinstance(value, Problem),
-        "a Problem: Problem(observed, confidence, stiffness)",
+        "a Problem: Problem(observed=observed, confidence=confidence, stiffness=stiffness)",
     ),
     "prior": (
         lambda value: isinstance(value, Prior | None),

@@ -257,9 +257,9 @@ class Ground:
                 marks, points, m, self.body, spacing, motion.typical_strain, bool(motion.drift)
             )
             problem = Problem(
-                y,
-                canvas.confidence,
-                m,
+                observed=y,
+                confidence=canvas.confidence,
+                stiffness=m,
                 spacing=spacing,
                 loads=loads,
                 precision=precision,

@@ -10,7 +10,7 @@ import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
 from contextlib import contextmanager
-from dataclasses import InitVar, dataclass, field, replace
+from dataclasses import KW_ONLY, InitVar, dataclass, field, replace
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -404,6 +404,7 @@ class Motion:
     hold_edge: bool = False
     labels: Array | None = None
     rules: tuple[BoundaryRule, ...] = ()
+    _: KW_ONLY
     observed: Array | None = None
     confidence: Array | None = None
     drawing: Drawing = field(default_factory=Drawing)

@@ -36,7 +36,10 @@ def stretched_tissue():
     y, c = np.zeros((2, *SHAPE, 2))
     y[..., 1] = 0.1 * 0.5 * np.arange(40)
     c[[0, -1]] = c[:, [0, -1]] = 1
-    return solve(Problem(y, c, np.ones(SHAPE), spacing=(0.5, 0.5)), backend="cpu")
+    return solve(
+        Problem(observed=y, confidence=c, stiffness=np.ones(SHAPE), spacing=(0.5, 0.5)),
+        backend="cpu",
+    )
 
 
 def test_stretching_tissue_by_a_tenth_increases_its_area_by_a_tenth():

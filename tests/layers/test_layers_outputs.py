@@ -278,7 +278,7 @@ def test_the_inputs_of_a_problem_are_shown_as_layers():
     c[0], c[-1] = 1, (0.5, 0.25)
     y[-1] = (0, 3)
     m[:, 12:] = 20
-    problem = Problem(y, c, m, spacing=(1.0, 2.0))
+    problem = Problem(observed=y, confidence=c, stiffness=m, spacing=(1.0, 2.0))
     solved = solve(problem)
     outputs = result_layers(solved, problem=problem)
     layers = layers_of(outputs, ("stiffness", "observed", "confidence"))
