@@ -267,7 +267,7 @@ def test_an_argument_of_a_wrong_type_raises_a_type_error_that_is_a_value_error()
 def test_a_function_of_a_displacement_requires_its_spacing():
     for name, found in NAMES.items():
         parameters = inspect.signature(found).parameters if inspect.isfunction(found) else {}
-        if "displacement" in parameters and name != "magnitude":
+        if "displacement" in parameters and name not in ("magnitude", "rmsd"):
             spacing = parameters["spacing"]
             assert spacing.kind is spacing.KEYWORD_ONLY, name
             assert spacing.default is spacing.empty, name

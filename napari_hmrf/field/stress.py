@@ -64,7 +64,8 @@ def von_mises_stress(stress: npt.ArrayLike) -> FloatArray:
     """
     tensor = _as_stress(stress)
     deviatoric = tensor + pressure_of(tensor)[..., None, None] * np.eye(3)
-    return np.sqrt(1.5 * np.einsum("...ij,...ij", deviatoric, deviatoric)).astype(np.float32)
+    square = 1.5 * np.einsum("...ij,...ij", deviatoric, deviatoric)
+    return np.asarray(np.sqrt(square), np.float32)
 
 
 def hydrostatic_pressure(stress: npt.ArrayLike) -> FloatArray:

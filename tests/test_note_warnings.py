@@ -6,9 +6,19 @@ import numpy as np
 import pytest
 
 import napari_hmrf
-from napari_hmrf import NoteWarning, Provenance, Solution
+from napari_hmrf import (
+    Grid,
+    NoteWarning,
+    Provenance,
+    Solution,
+    Study,
+    Tissue,
+    read_study,
+    write_study,
+)
 from napari_hmrf.note_warnings import warning_of_notes
 from napari_hmrf.solver.solve import solve
+from napari_hmrf.study.ground import at_place_of
 
 
 def noted(*notes):
@@ -34,6 +44,15 @@ def test_public_functions_warn_and_those_of_the_package_do_not(monkeypatch):
     assert napari_hmrf.solve.__wrapped__ is solve
     with pytest.warns(NoteWarning, match="held"):
         warning_of_notes(lambda: noted("the edge is held"))()
+
+
+def test_a_study_file_keeps_the_notes_and_the_unit_of_stress(tmp_path):
+    study = Study(Grid((3, 4), 1.0), Tissue(stiffness=np.ones((3, 4)), unit="kPa"))
+    made = at_place_of(study, noted("the edge is held"))
+    assert made.stress_unit == "kPa"
+    again = read_study(write_study(tmp_path / "noted", study, made)).solution
+    assert again.notes == made.notes
+    assert again.stress_unit == "kPa"
 
 
 def test_notes_are_counted_in_the_repr_and_kept_in_files(tmp_path):
