@@ -112,6 +112,16 @@ class Measurement(NamedTuple):
     mean_vector: tuple[float, ...] = ()
     mean_vector_sd: tuple[float, ...] = ()
 
+    def __repr__(self) -> str:
+        stress = ""
+        if self.mean_von_mises is not None:
+            stress = f", von Mises stress {self.mean_von_mises:.3g} {self.stress_unit}".rstrip()
+        return (
+            f"Measurement({self.label} {self.name!r}, {self.pixels} sites, size change "
+            f"{self.size_change:.3g} %, moved {self.mean_displacement:.3g}, {self.strain} strain "
+            f"{self.mean_strain:.3g} %{stress}, {self.folds} folds)"
+        )
+
 
 def measure(
     solution: Solution,
