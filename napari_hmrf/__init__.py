@@ -60,8 +60,8 @@ from napari_hmrf.errors import (
 from napari_hmrf.field.warp import warp
 from napari_hmrf.io.study_file import read_study, write_study
 from napari_hmrf.io.study_file import replay as _replay
-from napari_hmrf.note_warnings import warning_of_notes
 from napari_hmrf.solver.live_solver import LiveSolver, Update
+from napari_hmrf.solver.note_warnings import warning_of_notes
 from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid
 from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
