@@ -138,9 +138,9 @@ class Case:
                 level=self.level,
             )
         return Problem(
-            self.observed,
-            self.held.astype(float),
-            self.stiffness,
+            observed=self.observed,
+            confidence=self.held.astype(float),
+            stiffness=self.stiffness,
             spacing=self.spacing,
             loads=loads,
             sliding=SlidingParts(self.labels) if self.kind != "cavity" else None,

@@ -51,7 +51,9 @@ def _random(seed: int) -> tuple[str, Problem]:
         points = rng.random((8, axes)) * 4
         moved = points + rng.normal(size=points.shape)
         marks = Landmarks(points, moved, sd=10 ** rng.uniform(-2, 1))
-    problem = Problem(y, c, m, spacing=spacing, precision=data, landmarks=marks)
+    problem = Problem(
+        observed=y, confidence=c, stiffness=m, spacing=spacing, precision=data, landmarks=marks
+    )
     words = f"{grid}, rank {rank}, share {share}, strength {strength:.0e}, contrast {contrast:.0e}"
     return words, problem
 
@@ -83,7 +85,9 @@ def _planes() -> Iterator[tuple[str, float, float]]:
         y, c = np.zeros((size, size, 2)), np.zeros((size, size, 2))
         y[far], c[far] = 4 * along, 1
         data = 1e3 * plane[..., None, None] * np.outer(normal, normal)
-        field = _field(Problem(y, c, (depth < 0.6).astype(float), precision=data)).displacement
+        field = _field(
+            Problem(observed=y, confidence=c, stiffness=(depth < 0.6).astype(float), precision=data)
+        ).displacement
         middle = plane & (np.abs(place @ along) < 16)
         slip = float((field[middle] @ along).min()) / 4
         yield f"plane at {degrees} degrees", slip, float(np.abs(field[middle] @ normal).max())
@@ -98,7 +102,11 @@ def _ball(strength: float) -> tuple[str, float, float]:
     data = strength * surface[..., None, None] * normal[..., :, None] * normal[..., None, :]
     turn = np.stack([0 * away, -0.1 * place[..., 2], 0.1 * place[..., 1]], axis=-1)
     core = (away <= 6)[..., None]
-    field = _field(Problem(turn * core, core * np.ones(3), tissue, precision=data)).displacement
+    field = _field(
+        Problem(
+            observed=turn * core, confidence=core * np.ones(3), stiffness=tissue, precision=data
+        )
+    ).displacement
     outer = surface & (np.hypot(place[..., 1], place[..., 2]) > 10)
     slip = (field * turn).sum(axis=-1)[outer] / (turn**2).sum(axis=-1)[outer]
     across = np.abs((field * normal).sum(axis=-1)[outer]).max()
@@ -128,7 +136,7 @@ def times(blocks: int = 5) -> None:
                 y = np.stack([3 * np.sin(angle[(axis + 1) % axes]) for axis in range(axes)], -1)
                 c = np.zeros(y.shape) if by_data else half[..., None] * np.ones(axes)
                 data = half[..., None, None] * tensor if by_data else None
-                problem = Problem(y, c, np.ones(grid), precision=data)
+                problem = Problem(observed=y, confidence=c, stiffness=np.ones(grid), precision=data)
                 begun = time.perf_counter()
                 _field(problem)
                 if repeat:  # the first solve of a block builds the model

@@ -15,7 +15,7 @@ from scipy.sparse.linalg import splu
 from skfem import Basis, BilinearForm, ElementQuad1, ElementVector, MeshQuad
 from skfem.helpers import ddot, eye, sym_grad, trace
 
-from napari_hmrf import Problem
+from napari_hmrf import Problem, fields
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -161,6 +161,4 @@ def rmsd(a: npt.ArrayLike, b: npt.ArrayLike, where: npt.ArrayLike, unit: float =
     unit : float
         Length of a pixel (`Problem.unit`), for a result in pixels.
     """
-    difference = np.asarray(a, dtype=np.float64) - np.asarray(b, dtype=np.float64)
-    inside = np.asarray(where, dtype=bool)
-    return float(np.sqrt((difference[inside] ** 2).sum(axis=-1).mean()) / unit)
+    return fields.rmsd(a, b, where) / unit

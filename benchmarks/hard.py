@@ -348,9 +348,9 @@ def over_soft(images: Images) -> float:
         for which, m in enumerate((images.stiffness, np.ones_like(images.stiffness))):
             # Another unit of stiffness invalidates all caches.
             problem = Problem(
-                images.observed,
-                images.confidence,
-                m * np.float32(2 ** (turn % 8)),
+                observed=images.observed,
+                confidence=images.confidence,
+                stiffness=m * np.float32(2 ** (turn % 8)),
                 spacing=images.spacing,
             )
             started = time.perf_counter()

@@ -91,7 +91,7 @@ def _elastic(points: Array, shifts: Array, places: Array, tissue: Array) -> Arra
     def at(known: Array, x: Array, strain: float) -> Array:
         scale = StrainScale(strain)
         marks = Landmarks(points[known], (points + rest)[known], sd=_NOISE, scale=scale)
-        problem = Problem(none, none, tissue, landmarks=marks)
+        problem = Problem(observed=none, confidence=none, stiffness=tissue, landmarks=marks)
         return np.asarray(solve(problem, ElasticPrior(0.0), backend="cpu").at(x, extend=True))
 
     left_out = np.arange(len(points)) % 5 == 0

@@ -202,7 +202,7 @@ CASES: dict[str, Callable[[int, float], Problem]] = {
 
 
 def _problem(y: Field, c: Field, m: Field, side: float, loads: Loads | None = None) -> Problem:
-    return Problem(y, c, m, spacing=(side,) * 3, loads=loads)
+    return Problem(observed=y, confidence=c, stiffness=m, spacing=(side,) * 3, loads=loads)
 
 
 def _places(size: int, side: float) -> Field:

@@ -98,8 +98,13 @@ def _loaded(size: int) -> dict[str, Problem]:
     beam = bar(height, size, np.zeros((height, 2)), 1.0)
     heavy = weight(beam.stiffness, (2e-3, 0.0), spacing=1)
     return {
-        "area + 100 %": Problem(0 * c, c, m, loads=strain),
-        "beam that sinks": Problem(beam.observed, beam.confidence, beam.stiffness, loads=heavy),
+        "area + 100 %": Problem(observed=0 * c, confidence=c, stiffness=m, loads=strain),
+        "beam that sinks": Problem(
+            observed=beam.observed,
+            confidence=beam.confidence,
+            stiffness=beam.stiffness,
+            loads=heavy,
+        ),
     }
 
 
@@ -232,7 +237,7 @@ def _across_sample(size: int) -> Problem:
     still = given.known & (given.observed == 0).all(axis=-1, keepdims=True)
     c, y = still.astype(float), np.zeros((size, size, 2))
     c[patch], y[patch] = 1, (0, size / 2)
-    return Problem(y, c, given.stiffness)
+    return Problem(observed=y, confidence=c, stiffness=given.stiffness)
 
 
 def _free_edge(size: int) -> Problem:
@@ -242,7 +247,7 @@ def _free_edge(size: int) -> Problem:
     c[:, 0] = 1
     patch = (np.abs(row - size // 2) < size // 30) & (col > size - size // 15)
     c[patch], y[patch] = 1, (size / 8, -size / 2)
-    return Problem(y, c, np.ones((size, size)))
+    return Problem(observed=y, confidence=c, stiffness=np.ones((size, size)))
 
 
 def _pressed(size: int) -> Problem:
@@ -254,7 +259,7 @@ def _pressed(size: int) -> Problem:
     for way, middle in ((1, size // 4), (-1, 3 * size // 4)):
         patch = level & (np.abs(col - middle) < size // 10)
         c[patch], y[patch] = 1, (0, way * 0.49 * (size / 2 - size / 5))
-    return Problem(y, c, np.ones((size, size)))
+    return Problem(observed=y, confidence=c, stiffness=np.ones((size, size)))
 
 
 def drag(size: int = 300, frames: int = 20, far: float = 3.0) -> None:
@@ -304,7 +309,7 @@ def _patch(size: int, radius: float, far: float, begun: float | None = None) -> 
     c, y = np.zeros((2, size, size, 2))
     c[0] = c[-1] = c[:, 0] = c[:, -1] = 1
     c[inside], y[inside] = 1, (0, far)
-    return Problem(y, c, np.ones((size, size)))
+    return Problem(observed=y, confidence=c, stiffness=np.ones((size, size)))
 
 
 def _rim(size: int, far: float) -> Problem:
@@ -312,9 +317,9 @@ def _rim(size: int, far: float) -> Problem:
     y = np.array(given.observed)
     length = np.linalg.norm(y, axis=-1, keepdims=True)
     return Problem(
-        np.where(length > 0, y / np.maximum(length, 1e-9) * far, 0),
-        given.confidence,
-        given.stiffness,
+        observed=np.where(length > 0, y / np.maximum(length, 1e-9) * far, 0),
+        confidence=given.confidence,
+        stiffness=given.stiffness,
     )
 
 

@@ -74,7 +74,7 @@ def bent_bar(size: int) -> Problem:
     c = np.zeros_like(y)
     c[0] = c[-1] = 1
     y[-1] = end
-    return Problem(y, c, np.ones((size, height, height)))
+    return Problem(observed=y, confidence=c, stiffness=np.ones((size, height, height)))
 
 
 def dragged_patch(size: int, far: float) -> Problem:
@@ -96,7 +96,7 @@ def exact(sizes: list[int]) -> None:
     for name, end in (("pulled by 20 %", [0.2 * size, 0, 0]), ("sheared", [0, 0.2 * size, 0])):
         y[-1] = end
         for poisson in (0.3, 0.45):
-            problem = Problem(y, c, m)
+            problem = Problem(observed=y, confidence=c, stiffness=m)
             found = solve(problem, NeoHookeanPrior(poisson), backend="cpu")
             off = float(np.abs(found.displacement - solved(problem, poisson, 4)).max())
             worst = max(worst, off)
@@ -174,7 +174,7 @@ def _anew(problem: Problem) -> Problem:
     """Return an equal problem with slightly other targets, which no cache has."""
     y = problem.observed * np.float32(1.0001)
     m = problem.stiffness * np.float32(1.0001)
-    return Problem(y, problem.confidence, m, loads=problem.loads)
+    return Problem(observed=y, confidence=problem.confidence, stiffness=m, loads=problem.loads)
 
 
 def _seconds(work: Callable[[], Solution]) -> tuple[float, Solution]:

@@ -82,7 +82,12 @@ class Drag:
         self._timed("draw", lambda: self._rendering.show(drawing))
         canvas = self._rendering.canvas
         made: Problem = self._timed(
-            "check", lambda: Problem(canvas.observed, canvas.confidence, self.problem.stiffness)
+            "check",
+            lambda: Problem(
+                observed=canvas.observed,
+                confidence=canvas.confidence,
+                stiffness=self.problem.stiffness,
+            ),
         )
         return made
 

@@ -139,7 +139,7 @@ def start_of(seed: int, sequence: int) -> State:
     prior: ElasticPrior | SeilerPrior = ElasticPrior(nu, plane=plane, penalty=penalty)
     if dice.random() < 0.25:
         prior = SeilerPrior(conditional=str(dice.choice(["centred", "blanket"])))
-    return State(Problem(y, c, m, spacing=spacing), prior)
+    return State(Problem(observed=y, confidence=c, stiffness=m, spacing=spacing), prior)
 
 
 def states_of(start: State, dice: np.random.Generator) -> Iterator[tuple[str, State]]:
@@ -210,7 +210,8 @@ def _edited(
         loads = growth(place) if loads is None else loads + growth(place)
     elif isinstance(prior, ElasticPrior):
         prior = replace(prior, poisson=float(dice.choice([0.0, 0.3, 0.45, 0.49])))
-    return State(Problem(y, c, m, spacing=problem.spacing, loads=loads), prior)
+    given = {"observed": y, "confidence": c, "stiffness": m, "spacing": problem.spacing}
+    return State(Problem(**given, loads=loads), prior)
 
 
 def judge(seed: int, sequence: int) -> list[Answer]:

@@ -175,7 +175,7 @@ def make_case(number: int) -> Case:
         penalty=penalty,
     )
     loads = _growth(random, shape, rigid) if random.random() < 0.4 else None
-    problem = Problem(moves, c, m, spacing=spacing, loads=loads)
+    problem = Problem(observed=moves, confidence=c, stiffness=m, spacing=spacing, loads=loads)
     return Case(problem, prior, known)
 
 
@@ -245,7 +245,7 @@ def _smooth_map(random: np.random.Generator, shape: tuple[int, ...]) -> Field:
         k, phase = random.uniform(-6, 6, 2) / size, random.uniform(0, 6)
         waves += random.normal(size=2) * np.sin(k[0] * row + k[1] * col + phase)[..., None]
     strength = size / 4
-    whole = Problem(waves, np.ones_like(waves), np.ones(shape))
+    whole = Problem(observed=waves, confidence=np.ones_like(waves), stiffness=np.ones(shape))
     while least_corner(whole, strength * waves) < _LEAST:
         strength *= 0.9
     return strength * waves

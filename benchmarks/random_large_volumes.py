@@ -76,7 +76,11 @@ def make_case(number: int) -> Case:
     loads = None
     if random.random() < 0.3:
         loads = Loads(growth=np.where(_ball(random, shape) & ~rigid, random.uniform(-0.3, 1), 0))
-    return Case(Problem(moves, c, m, spacing=spacing, loads=loads), prior, known)
+    return Case(
+        Problem(observed=moves, confidence=c, stiffness=m, spacing=spacing, loads=loads),
+        prior,
+        known,
+    )
 
 
 def _tissue(random: np.random.Generator, shape: tuple[int, ...], known: bool) -> Field:

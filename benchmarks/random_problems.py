@@ -65,7 +65,12 @@ class RandomProblem:
     @functools.cached_property
     def problem(self) -> Problem:
         """Problem as accepted by the package."""
-        return Problem(self.observed, self.confidence, self.stiffness, spacing=self.spacing)
+        return Problem(
+            observed=self.observed,
+            confidence=self.confidence,
+            stiffness=self.stiffness,
+            spacing=self.spacing,
+        )
 
     @property
     def words(self) -> str:

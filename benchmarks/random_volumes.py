@@ -57,7 +57,7 @@ def judged(seed: int, paper: bool = False) -> tuple[str, str]:
     """Return the outcome of a random volume, and a remark or ""."""
     y, c, m, spacing, poisson = random_volume(seed)
     try:
-        problem = Problem(y, c, m, spacing=spacing)
+        problem = Problem(observed=y, confidence=c, stiffness=m, spacing=spacing)
         prior = SeilerPrior() if paper else ElasticPrior(poisson)
         with ExitStack() as as_large:
             if seed % 2:

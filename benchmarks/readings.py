@@ -82,7 +82,7 @@ def bar_strain_ratio(length: int, ratio: float, reading: str) -> float:
     y, c = np.zeros((1, length, 2)), np.zeros((1, length, 2))
     c[:, [0, -1]] = 1
     y[0, -1, 1] = 1
-    along = solve_exactly(Problem(y, c, m), reading)[0, :, 1]
+    along = solve_exactly(Problem(observed=y, confidence=c, stiffness=m), reading)[0, :, 1]
     middle = length // 2
     return float((along[-1] - along[middle]) / (along[middle - 1] - along[0]))
 

@@ -235,9 +235,9 @@ def _solved(head: Head, y: Array, held: Array, m: Array, growth: Array | None) -
     outside = ndimage.distance_transform_edt(~head.brain, sampling=head.spacing) > _FIXED_BEYOND
     c = np.repeat((held | outside)[every][..., None], 3, axis=-1)
     problem = Problem(
-        y[every],
-        c.astype(np.float32),
-        m[every],
+        observed=y[every],
+        confidence=c.astype(np.float32),
+        stiffness=m[every],
         spacing=[_COARSER * size for size in head.spacing],
         loads=None if growth is None else Loads(growth=growth[every]),
     )

@@ -100,7 +100,7 @@ class _Elastic:
         np.add.at(c, sites, 1)
         y, c = y / np.maximum(c, 1), np.minimum(c, 1)
         spacing = (_STEP, _STEP)
-        problem = Problem(y, c, np.ones(self._shape), spacing=spacing)
+        problem = Problem(observed=y, confidence=c, stiffness=np.ones(self._shape), spacing=spacing)
         prior, optimizer = ElasticPrior(0.3, penalty=self._penalty), Multigrid(_NEAR)
         solution = solve(problem, prior, optimizer=optimizer, initial=self._before)
         self._before = solution
@@ -127,7 +127,13 @@ class _Uncertain:
         rest = (to - straight(at)) / _STEP
         marks = Landmarks(points, points + rest, sd=_NOISE, scale=self._scale)
         none, spacing = np.zeros((*self._shape, 2)), (_STEP, _STEP)
-        problem = Problem(none, none, np.ones(self._shape), spacing=spacing, landmarks=marks)
+        problem = Problem(
+            observed=none,
+            confidence=none,
+            stiffness=np.ones(self._shape),
+            spacing=spacing,
+            landmarks=marks,
+        )
         optimizer = Multigrid(_NEAR)
         solution = solve(problem, ElasticPrior(0.3), optimizer=optimizer, initial=self._before)
         self._before = solution
@@ -233,7 +239,7 @@ def _registered(fixed: npt.NDArray[Any], moving: npt.NDArray[Any]) -> npt.NDArra
 def _followed(fixed: npt.NDArray[Any], field: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Return the elastic displacement with a field as observations at edges of the picture."""
     c = np.repeat(edge_confidence(fixed)[..., None], 2, axis=-1)
-    problem = Problem(field, c, np.ones(fixed.shape))
+    problem = Problem(observed=field, confidence=c, stiffness=np.ones(fixed.shape))
     prior = ElasticPrior(0.3, penalty=0.3)
     return solve(problem, prior, optimizer=Multigrid(_NEAR)).displacement
 

@@ -71,7 +71,12 @@ class Case:
     def problem(self, *, connected: bool = False) -> Problem:
         """Return the problem, with parts that slide unless they are connected."""
         parts = None if connected else SlidingParts(self.inner.astype(int))
-        return Problem(self.exact, self.held.astype(float), self.stiffness, sliding=parts)
+        return Problem(
+            observed=self.exact,
+            confidence=self.held.astype(float),
+            stiffness=self.stiffness,
+            sliding=parts,
+        )
 
 
 def plane(degrees: float, size: int = 64) -> Case:
@@ -259,8 +264,13 @@ def _ball(size: int) -> tuple[Problem, Problem]:
     y, c = np.where(core[..., None], turn, 0.0), np.repeat(held[..., None], 3, axis=-1)
     one = np.ones((size,) * 3)
     return (
-        Problem(y, c.astype(float), one, sliding=SlidingParts(inner.astype(int))),
-        Problem(y, c.astype(float), one),
+        Problem(
+            observed=y,
+            confidence=c.astype(float),
+            stiffness=one,
+            sliding=SlidingParts(inner.astype(int)),
+        ),
+        Problem(observed=y, confidence=c.astype(float), stiffness=one),
     )
 
 
@@ -313,9 +323,9 @@ def _random(seed: int) -> tuple[Problem, ElasticPrior]:
     c = np.repeat((rng.random(grid) < 0.2)[..., None], axes, axis=-1)
     loads = Loads(force=rng.normal(size=y.shape), growth=0.05 * rng.random(grid))
     problem = Problem(
-        y,
-        c.astype(float),
-        (10.0 ** rng.uniform(0, 2, count))[labels] * rng.uniform(1, 2, grid),
+        observed=y,
+        confidence=c.astype(float),
+        stiffness=(10.0 ** rng.uniform(0, 2, count))[labels] * rng.uniform(1, 2, grid),
         spacing=spacing,
         loads=loads if seed % 3 == 0 else None,
         precision=rng.random(grid) * (rng.random(grid) < 0.1),

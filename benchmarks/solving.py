@@ -50,7 +50,7 @@ def ellipsoid(size: int) -> Any:
     y, c = np.zeros((2, *depth.shape, 3), dtype=np.float32)
     y[skin], c[skin] = 0.12 * size * from_middle[skin], 1
     c[(depth > 1 - 4 / size) & (depth < 1)] = 1
-    return Problem(y, c, np.where(depth < 1, 1.0, 0.0))
+    return Problem(observed=y, confidence=c, stiffness=np.where(depth < 1, 1.0, 0.0))
 
 
 def problem_of(kind: str, size: int) -> Any:

@@ -81,7 +81,14 @@ def _random(seed: int) -> tuple[str, Problem]:
         points = rng.random((8, axes)) * (np.array(grid) - 1)
         marks = Landmarks(points, points, sd=10 ** rng.uniform(-1, 0.5), scale=_SCALE)
     observed = np.zeros_like(c)
-    problem = Problem(observed, c, m, spacing=spacing, precision=precision, landmarks=marks)
+    problem = Problem(
+        observed=observed,
+        confidence=c,
+        stiffness=m,
+        spacing=spacing,
+        precision=precision,
+        landmarks=marks,
+    )
     return f"{grid}, spacing {spacing}, contrast {contrast:g}, {kind}", problem
 
 
@@ -125,7 +132,7 @@ def coverage(count: int = 2000) -> None:
         m = 10 ** rng.uniform(0, 2) ** rng.random(grid)
         c = np.zeros((*grid, 2))
         c[0] = 1
-        bare = Problem(np.zeros_like(c), c, m, spacing=spacing)
+        bare = Problem(observed=np.zeros_like(c), confidence=c, stiffness=m, spacing=spacing)
         energy = _SCALE.energy(bare.stiffness, spacing)
         # The truth is a sample of the prior, by another assembly of the elements.
         free = (c == 0).ravel()
@@ -137,7 +144,9 @@ def coverage(count: int = 2000) -> None:
         seen = (interpolation(points, grid) @ truth).reshape(-1, 2)
         seen += sd * rng.normal(size=seen.shape)
         marks = Landmarks(points, points + seen / spacing, sd=sd, scale=_SCALE)
-        problem = Problem(0 * c, c, m, spacing=spacing, landmarks=marks)
+        problem = Problem(
+            observed=0 * c, confidence=c, stiffness=m, spacing=spacing, landmarks=marks
+        )
         labels = np.zeros(grid, int)
         labels[-4:, -4:], labels[3:5, 3:5] = 1, 2
         result = uncertainty(
@@ -196,7 +205,12 @@ class _Landmarked:
         marks = Landmarks(points, points, sd=self.sd, scale=_SCALE)
         self._rows = interpolation(points, self.grid)
         self._assumed = plane_stress_displacement(self._tissue(1.0)).ravel()
-        problem = Problem(self._observed, self._confidence, np.ones(self.grid), landmarks=marks)
+        problem = Problem(
+            observed=self._observed,
+            confidence=self._confidence,
+            stiffness=np.ones(self.grid),
+            landmarks=marks,
+        )
         prior = checked_prior(problem, ElasticPrior(0.3))
         self.energy = energy_of(problem, None)
         self.space = data_space(problem, prior, self.energy, "cpu", None, None)
@@ -204,7 +218,7 @@ class _Landmarked:
     def _tissue(self, stiffness: float) -> Problem:
         m = np.ones(self.grid)
         m[7:17, 7:17] = stiffness
-        return Problem(self._observed, self._confidence, m)
+        return Problem(observed=self._observed, confidence=self._confidence, stiffness=m)
 
     def truth(self, stiffness: float = 1.0) -> tuple[Array, Array]:
         """Return the mean and a root of the covariance of the motion, by scikit-fem.
@@ -333,7 +347,7 @@ def next_landmark(count: int = 30) -> None:
         points = rng.uniform(1, size - 2, (int(rng.integers(1, 5)), 2))
         targets = points + rng.normal(size=points.shape)
         marks = Landmarks(points, targets, sd=sd, scale=_SCALE)
-        problem = Problem(0 * c, c, m, landmarks=marks)
+        problem = Problem(observed=0 * c, confidence=c, stiffness=m, landmarks=marks)
         dense, free = posterior_covariance(problem, ElasticPrior(), _SCALE)
         covariance = np.zeros((c.size, c.size))
         covariance[np.ix_(free, free)] = dense
@@ -374,16 +388,25 @@ def fits(count: int = 100) -> None:
             true = np.ones(5)
             if kind != "uniform":
                 true[2:] = 10 ** rng.uniform(-0.7, 1, 3)
-            problem = Problem(moved, held, true[labels])
+            problem = Problem(observed=moved, confidence=held, stiffness=true[labels])
             if kind == "growth":
                 strain = float(rng.uniform(0.1, 0.3))
-                problem = Problem(moved, held, true[labels], loads=growth(strain * (labels == 2)))
+                problem = Problem(
+                    observed=moved,
+                    confidence=held,
+                    stiffness=true[labels],
+                    loads=growth(strain * (labels == 2)),
+                )
                 field = solve(problem, prior, backend="cpu").displacement
             else:
                 field = plane_stress_displacement(problem)
             sd = 0.05 * float(np.sqrt((field**2).mean()))
             seen = field + rng.normal(0, sd, field.shape)
-            guess = Problem(moved, held, np.ones(grid) if kind != "growth" else true[labels])
+            guess = Problem(
+                observed=moved,
+                confidence=held,
+                stiffness=np.ones(grid) if kind != "growth" else true[labels],
+            )
             grows = kind == "growth"
             found = fit(
                 guess,
@@ -425,10 +448,12 @@ def maps(count: int = 10) -> None:
         for row, col in ((22, 20), (42, 44)):
             middle = rng.uniform(-3, 3, 2) + np.array((row, col))
             inside |= np.hypot(rows - middle[0], cols - middle[1]) < rng.uniform(7, 10)
-        field = plane_stress_displacement(Problem(moved, held, np.where(inside, 3.0, 1.0)))
+        field = plane_stress_displacement(
+            Problem(observed=moved, confidence=held, stiffness=np.where(inside, 3.0, 1.0))
+        )
         sd = 0.05 * float(np.sqrt((field**2).mean()))
         seen = field + rng.normal(0, sd, field.shape)
-        guess = Problem(moved, held, np.ones((size, size)))
+        guess = Problem(observed=moved, confidence=held, stiffness=np.ones((size, size)))
         found = stiffness_map(guess, seen, sd=sd, prior=prior, backend="cpu")
         ratios = found.stiffness / np.median(found.stiffness[~inside])
         stiff = ratios > np.sqrt(3)
@@ -474,7 +499,10 @@ def accuracy() -> None:
         }
         size = " x ".join(map(str, grid))
         for words, (m, poisson) in cases.items():
-            problem, prior = Problem(0 * held, held, m), ElasticPrior(poisson, plane="strain")
+            problem, prior = (
+                Problem(observed=0 * held, confidence=held, stiffness=m),
+                ElasticPrior(poisson, plane="strain"),
+            )
             prior = checked_prior(problem, prior)
             response = Response(problem, prior, "cpu")
             noise = PosteriorNoise(problem, prior, energy_of(problem, _SCALE))
@@ -509,7 +537,7 @@ def times(turns: int = 6) -> None:
         c[0], c[away < grid[0] / 20] = 1, 1
         patch = c[..., 0] * (away < grid[0] / 20)
         y[..., 0] = 3 * patch
-        problem = Problem(y, c, m)
+        problem = Problem(observed=y, confidence=c, stiffness=m)
         prior = checked_prior(problem, None)
         energy = energy_of(problem, _SCALE)
         solve(problem, prior, backend="cpu")
@@ -520,7 +548,7 @@ def times(turns: int = 6) -> None:
         for turn in range(turns):
             moved = y.copy()
             moved[..., axes - 1] += patch * (turn + 1)
-            other = Problem(moved, c, m)
+            other = Problem(observed=moved, confidence=c, stiffness=m)
             begun = time.perf_counter()
             solve(other, prior, backend="cpu")
             between = time.perf_counter()
@@ -549,7 +577,7 @@ def _brain(path: Path | None) -> Problem:
         tissue = read_image(path).pixels > 0
     held = np.zeros((*tissue.shape, 3))
     held[tissue & ~scipy.ndimage.binary_erosion(tissue)] = 1
-    return Problem(0 * held, held, 1.0 * tissue)
+    return Problem(observed=0 * held, confidence=held, stiffness=1.0 * tissue)
 
 
 def brain(path: Path | None, count: int) -> None:
@@ -558,7 +586,7 @@ def brain(path: Path | None, count: int) -> None:
     pulled = problem.observed.copy()
     pulled[problem.known] = 1
     solve(problem, backend="cpu")  # loads the compiled loops
-    moved = Problem(pulled, problem.confidence, problem.stiffness)
+    moved = Problem(observed=pulled, confidence=problem.confidence, stiffness=problem.stiffness)
     begun = time.perf_counter()
     solve(moved, backend="cpu")
     solved = time.perf_counter() - begun

@@ -40,7 +40,7 @@ def random_block(size: int, seed: int = 0) -> Problem:
     y, c = np.zeros((2, *shape, 3))
     c[0] = c[-1] = 1
     y[-1] = np.array((2.0, 1.0, -0.6)) * _OBLONG
-    return Problem(y, c, m, spacing=_OBLONG)
+    return Problem(observed=y, confidence=c, stiffness=m, spacing=_OBLONG)
 
 
 def print_direct(size: int, ratios: Sequence[float] = (0.3, 0.45, 0.49)) -> None:
@@ -96,7 +96,7 @@ def stretched_cube(nodes: int) -> Problem:
     y, c = np.zeros((2, *shape, 3))
     c[0] = c[-1] = 1
     y[-1] = (0.05 * nodes, 0.02 * nodes, 0.0)
-    return Problem(y, c, np.ones(shape))
+    return Problem(observed=y, confidence=c, stiffness=np.ones(shape))
 
 
 def residual(problem: Problem, d: npt.NDArray[np.floating]) -> float:

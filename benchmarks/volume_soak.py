@@ -42,7 +42,7 @@ def volume(shape: tuple[int, ...], seed: int) -> Problem:
     y, c = np.zeros((2, *shape, 3))
     c[0] = c[-1] = 1
     y[-1, ..., 0] = 1
-    return Problem(y, c, m)
+    return Problem(observed=y, confidence=c, stiffness=m)
 
 
 def passes(solves: int, seed: int = 0) -> list[float]:

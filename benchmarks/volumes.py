@@ -77,7 +77,7 @@ def growing(size: int, free: bool = False) -> Problem:
         c[(far > 0.9) & (places[..., 0] > 0.6)] = 1
     else:
         c[[0, -1]] = c[:, [0, -1]] = c[:, :, [0, -1]] = 1
-    return Problem(y, c, m)
+    return Problem(observed=y, confidence=c, stiffness=m)
 
 
 def timed(problem: Problem, prior: Prior, optimizer: Optimizer = WITHIN) -> tuple[Solution, float]:
@@ -126,7 +126,11 @@ def squeezed_shell(size: int) -> Problem:
     c[[0, -1]], y[-1] = 1, (2.0, 1.0, -0.5)
     places = np.indices((size, size, size), dtype=np.float32) - (size - 1) / 2
     r = np.sqrt((places**2).sum(axis=0))
-    return Problem(y, c, np.where((r < 0.4 * size) & (r > 0.4 * size - 3), 1e6, 1.0))
+    return Problem(
+        observed=y,
+        confidence=c,
+        stiffness=np.where((r < 0.4 * size) & (r > 0.4 * size - 3), 1e6, 1.0),
+    )
 
 
 _TISSUES: dict[str, Callable[[int], Problem]] = {
@@ -233,7 +237,7 @@ def print_paper(size: int) -> None:
     m = np.full(cube.shape, 20.0)
     m[np.linalg.norm(places - (0.15, 0.1, 0.0), axis=-1) < 0.25] = 40
     m[np.linalg.norm(places - (-0.2, -0.3, -0.2), axis=-1) < 0.35] = 10
-    problem = Problem(cube.observed, cube.confidence, m)
+    problem = Problem(observed=cube.observed, confidence=cube.confidence, stiffness=m)
     converged, seconds = timed(problem, SeilerPrior())
     schedule, longer = timed(problem, SeilerPrior(), ICM())
     print(

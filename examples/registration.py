@@ -27,7 +27,7 @@ outline &= np.hypot(*(np.indices(tissue.shape) - 75)) > 40
 c[outline] = 1
 right = outline & (np.indices(tissue.shape)[1] > 105)
 y[right, 1] = -6
-truth = solve(Problem(y, c, stiffness))
+truth = solve(Problem(observed=y, confidence=c, stiffness=stiffness))
 later = truth.warp(brain.image)
 noise = 0.05 * np.ptp(later) * np.random.default_rng(0).normal(size=(2, *later.shape))
 
@@ -43,7 +43,9 @@ registered = sitk.GetArrayFromImage(demons.Execute(fixed, moving))[..., ::-1]
 # It is 0 in bone and next to bone, because bone moves as a rigid body.
 sure = edge_confidence(seen[0]) * ~binary_dilation(bone, iterations=2)
 edges = np.repeat(sure[..., None], 2, axis=-1)
-elastic = solve(Problem(registered, edges, stiffness), ElasticPrior()).displacement
+elastic = solve(
+    Problem(observed=registered, confidence=edges, stiffness=stiffness), ElasticPrior()
+).displacement
 
 for name, field in (("demons alone", registered), ("with tissue", elastic)):
     away = np.linalg.norm(field - truth.displacement, axis=-1)[tissue]

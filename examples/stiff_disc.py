@@ -19,7 +19,7 @@ confidence = np.zeros((*shape, 2))  # 1 where the displacement is known
 observed[:, -2:] = (0, 8)
 confidence[:, :2] = confidence[:, -2:] = 1
 
-solution = solve(Problem(observed, confidence, stiffness))
+solution = solve(Problem(observed=observed, confidence=confidence, stiffness=stiffness))
 print(solution)
 
 stretch = principal_strains(solution.strain("small"))[..., 0]

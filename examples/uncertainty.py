@@ -25,7 +25,12 @@ held = surface & (rows > 105)  # the base of the skull
 confidence = np.repeat(held[..., None], 2, axis=2).astype(float)
 still = np.zeros_like(confidence)
 expected = weight(stiffness, (0.04, 0), spacing=1)
-sunk = Problem(still, confidence, stiffness, loads=weight(stiffness, (0.05, 0), spacing=1))
+sunk = Problem(
+    observed=still,
+    confidence=confidence,
+    stiffness=stiffness,
+    loads=weight(stiffness, (0.05, 0), spacing=1),
+)
 truth = solve(sunk).displacement
 scale = StrainScale(0.1)  # patches of brain are strained by about 10 % besides
 rng = np.random.default_rng(0)
@@ -35,7 +40,9 @@ def predicted(points):
     """Return the displacement and its uncertainty, from landmarks measured at some points."""
     seen = truth[tuple(np.transpose(points))] + SD * rng.normal(size=(len(points), 2))
     marks = Landmarks(points, points + seen, sd=SD, scale=scale)
-    problem = Problem(still, confidence, stiffness, loads=expected, landmarks=marks)
+    problem = Problem(
+        observed=still, confidence=confidence, stiffness=stiffness, loads=expected, landmarks=marks
+    )
     return uncertainty(problem, patch=5, labels=tumour)
 
 

@@ -54,21 +54,29 @@ from napari_hmrf.errors import (
     ConvergenceError,
     FileFormatError,
     HmrfError,
+    NoteWarning,
     ProblemError,
 )
 from napari_hmrf.field.warp import warp
-from napari_hmrf.io.study_file import read_study, replay, write_study
+from napari_hmrf.io.study_file import read_study, write_study
+from napari_hmrf.io.study_file import replay as _replay
 from napari_hmrf.solver.live_solver import LiveSolver, Update
+from napari_hmrf.solver.note_warnings import warning_of_notes
 from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid
 from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Provenance, Solution
-from napari_hmrf.solver.solve import solve
-from napari_hmrf.study.ground import build_problem, solve_study
+from napari_hmrf.solver.solve import solve as _solve
+from napari_hmrf.study.ground import build_problem
+from napari_hmrf.study.ground import solve_study as _solve_study
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.cavity import Cavity
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
+
+solve = warning_of_notes(_solve)
+solve_study = warning_of_notes(_solve_study)
+replay = warning_of_notes(_replay)
 
 __version__ = "0.1.0"
 
@@ -93,6 +101,7 @@ __all__ = [
     "Motion",
     "Multigrid",
     "NeoHookeanPrior",
+    "NoteWarning",
     "Pictures",
     "Problem",
     "ProblemError",

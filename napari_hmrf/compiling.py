@@ -95,20 +95,27 @@ def _solve(prior: Any, optimizer: Any, spacing: tuple[float, float], bone: bool 
     m = np.ones((_SIZE, _SIZE))
     if bone:
         m[18:23, 12:17] = np.inf
-    problem = Problem(c, c, m, spacing=spacing)
+    problem = Problem(observed=c, confidence=c, stiffness=m, spacing=spacing)
     solve(problem, prior, optimizer=optimizer, backend="cpu")
 
 
 def _data(grid: tuple[int, ...]) -> None:
     y = np.ones((*grid, len(grid)))
-    problem = Problem(y, np.zeros_like(y), np.ones(grid), precision=1.0)
+    problem = Problem(
+        observed=y, confidence=np.zeros_like(y), stiffness=np.ones(grid), precision=1.0
+    )
     solve(problem, ElasticPrior(0.3), backend="cpu")
 
 
 def _volume(prior: Any, optimizer: Any) -> None:
     c = np.zeros((_SLICES, _SLICES, _SLICES, 3))
     c[0] = c[-1] = 1
-    solve(Problem(c, c, np.ones(c.shape[:3])), prior, optimizer=optimizer, backend="cpu")
+    solve(
+        Problem(observed=c, confidence=c, stiffness=np.ones(c.shape[:3])),
+        prior,
+        optimizer=optimizer,
+        backend="cpu",
+    )
     if isinstance(prior, ElasticPrior):
         for kind in (np.float32, np.float64):
             warp(c[..., 0].astype(kind), c, spacing=1)

@@ -92,6 +92,14 @@ class FileFormatError(HmrfError, ValueError):
     """Error for a file that violates its format, such as a saved solution or a material table."""
 
 
+class NoteWarning(UserWarning):
+    """Note on a solution: an assumption, an input without effect, or a shortcoming.
+
+    `Solution.notes` contains the same notes. Python shows each warning once for each line of a
+    script; ``warnings.simplefilter("ignore", NoteWarning)`` hides them.
+    """
+
+
 class Cancelled(HmrfError):
     """Cancellation of a solve; a cancelled solve has no result and no side effects."""
 

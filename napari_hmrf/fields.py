@@ -16,6 +16,7 @@ from napari_hmrf.field.deformation import (
     deformation_grid,
     jacobian_determinant,
     magnitude,
+    rmsd,
 )
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.live_warp import Picture, Warper
@@ -30,6 +31,7 @@ from napari_hmrf.field.strain import (
     small_strain,
     strain_through_slice,
 )
+from napari_hmrf.field.stress import hydrostatic_pressure, von_mises_stress
 from napari_hmrf.field.warp import inverse_map
 from napari_hmrf.io.fields import Field, read_field, write_field
 from napari_hmrf.io.moving_pictures import write_movie
@@ -49,6 +51,7 @@ __all__ = [
     "equivalent_strain",
     "fold_mask",
     "green_lagrange_strain",
+    "hydrostatic_pressure",
     "inverse_map",
     "is_solution_file",
     "is_study_file",
@@ -57,8 +60,10 @@ __all__ = [
     "principal_strains",
     "read_field",
     "resample",
+    "rmsd",
     "small_strain",
     "strain_through_slice",
+    "von_mises_stress",
     "write_field",
     "write_movie",
 ]

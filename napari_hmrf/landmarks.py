@@ -15,7 +15,8 @@ deviation, and the strain scale of the tissue::
 
     landmarks = Landmarks(pairs.points, pairs.targets, sd=0.5, scale=StrainScale(strain=0.1))
     none = np.zeros((*stiffness.shape, 2))
-    solution = solve(Problem(none, none, stiffness, landmarks=landmarks))
+    given = {"observed": none, "confidence": none, "stiffness": stiffness}
+    solution = solve(Problem(**given, landmarks=landmarks))
 
 If no other motion is known, `spline` interpolates landmarks smoothly inside the tissue::
 

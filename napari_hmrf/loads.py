@@ -5,7 +5,8 @@ Loads are passed to a `Problem` as its argument `loads`. The operator ``+`` adds
     from napari_hmrf import Problem, solve
     from napari_hmrf.loads import growth
 
-    solution = solve(Problem(observed, confidence, stiffness, loads=growth(0.2 * tumour)))
+    given = {"observed": observed, "confidence": confidence, "stiffness": stiffness}
+    solution = solve(Problem(**given, loads=growth(0.2 * tumour)))
 
 A `Study` derives its loads from its `Material`, `BoundaryRule` and `Motion`.
 """

@@ -150,7 +150,7 @@ def test_pictures_preserve_the_proportions_of_non_square_pixels():
     y[:, -1] = (0, 2)
     c = np.zeros_like(y)
     c[:, [0, -1]] = 1
-    problem = Problem(y, c, m, spacing=(3.0, 1.0))
+    problem = Problem(observed=y, confidence=c, stiffness=m, spacing=(3.0, 1.0))
     figure = figures.boundary_picture(m, problem)
     figure.draw_without_rendering()
     box = figure.axes[0].get_window_extent()

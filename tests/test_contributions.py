@@ -47,7 +47,7 @@ def solution():
     y, c = np.zeros((8, 9, 2)), np.zeros((8, 9, 2))
     c[:, 0] = c[:, -1] = 1
     y[:, -1] = (0, 2)
-    problem = Problem(y, c, np.ones((8, 9)), spacing=(1.0, 0.5))
+    problem = Problem(observed=y, confidence=c, stiffness=np.ones((8, 9)), spacing=(1.0, 0.5))
     return solve(problem, SeilerPrior(), optimizer=ICM(20), backend="cpu")
 
 

@@ -42,7 +42,8 @@ def test_a_script_with_exported_names_builds_solves_and_measures_tissue():
     boundary[:, :2], boundary[:, -2:] = 1, 2
     stiffness = stiffness_image(tissue, [Material(1, "soft", 1.0), Material(2, "stiff", 50.0)])
     rules = [BoundaryRule(1, "fixed"), BoundaryRule(2, "move", vector=(0, 3))]
-    solution = solve(Problem(*boundary_images(boundary, rules, spacing=1), stiffness))
+    observed, confidence = boundary_images(boundary, rules, spacing=1)
+    solution = solve(Problem(observed=observed, confidence=confidence, stiffness=stiffness))
     field = solution.displacement
     strain = equivalent_strain(green_lagrange_strain(field, spacing=1, tissue=solution.tissue))
     assert np.ptp(field[10, :, 1]) == pytest.approx(3, abs=0.01)
@@ -144,7 +145,7 @@ def test_the_blanket_conditional_has_its_own_model_name():
 LABELS, IMAGE, FIELD = np.ones((4, 5), int), np.ones((4, 5)), np.zeros((4, 5, 2))
 HELD = np.zeros((4, 5, 2))
 HELD[0] = HELD[-1] = 1
-PROBLEM = Problem(FIELD, HELD, IMAGE)
+PROBLEM = Problem(observed=FIELD, confidence=HELD, stiffness=IMAGE)
 MOVED = {"displacement": FIELD, "spacing": (1, 1), "tissue": None}
 
 
@@ -266,7 +267,7 @@ def test_an_argument_of_a_wrong_type_raises_a_type_error_that_is_a_value_error()
 def test_a_function_of_a_displacement_requires_its_spacing():
     for name, found in NAMES.items():
         parameters = inspect.signature(found).parameters if inspect.isfunction(found) else {}
-        if "displacement" in parameters and name != "magnitude":
+        if "displacement" in parameters and name not in ("magnitude", "rmsd"):
             spacing = parameters["spacing"]
             assert spacing.kind is spacing.KEYWORD_ONLY, name
             assert spacing.default is spacing.empty, name

@@ -91,7 +91,9 @@ def test_a_wrong_argument_besides_a_solution_is_refused_by_name(solution):
 
 @pytest.mark.parametrize("call", [solve_study, build_problem])
 def test_a_problem_in_place_of_a_study_is_refused_with_a_hint_to_solve(call):
-    problem = Problem(np.zeros((*SHAPE, 2)), np.ones((*SHAPE, 2)), ONES)
+    problem = Problem(
+        observed=np.zeros((*SHAPE, 2)), confidence=np.ones((*SHAPE, 2)), stiffness=ONES
+    )
     with pytest.raises(ArgumentError, match=r"^study .* solve\(problem\)"):
         call(problem)
     with pytest.raises(ArgumentError, match=r"^study"):

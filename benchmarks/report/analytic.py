@@ -117,7 +117,7 @@ def _radial(radial: Float64Array, row: Float64Array, col: Float64Array, r: Float
 
 def _held_outside(exact: Float64Array, inside: npt.NDArray[np.bool_], m: npt.ArrayLike) -> Case:
     c = np.repeat(~inside[..., None], 2, axis=-1).astype(float)
-    return Case(Problem(exact, c, m), exact, inside)
+    return Case(Problem(observed=exact, confidence=c, stiffness=m), exact, inside)
 
 
 class Errors(NamedTuple):

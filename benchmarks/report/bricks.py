@@ -33,7 +33,12 @@ def mixed(size: int) -> Problem:
     shape = (size, size, size)
     y, c = np.zeros((*shape, 3)), np.zeros((*shape, 3))
     c[[0, -1]], y[-1] = 1, np.array((1.0, 0.5, -0.3)) * OBLONG
-    return Problem(y, c, 100 ** np.random.default_rng(0).random(shape), spacing=OBLONG)
+    return Problem(
+        observed=y,
+        confidence=c,
+        stiffness=100 ** np.random.default_rng(0).random(shape),
+        spacing=OBLONG,
+    )
 
 
 def _assembly(page: Section, settings: Settings) -> None:
@@ -73,7 +78,9 @@ def _patch(page: Section) -> None:
     strain = np.array([[0.02, -0.01, 0.03], [0.03, 0.015, 0.01], [-0.02, 0.01, 0.01]])
     c = np.ones((*shape, 3))
     c[1:-1, 1:-1, 1:-1] = 0
-    problem = Problem(places @ strain.T, c, np.ones(shape), spacing=OBLONG)
+    problem = Problem(
+        observed=places @ strain.T, confidence=c, stiffness=np.ones(shape), spacing=OBLONG
+    )
     found = solve(problem, ElasticPrior(0.45), optimizer=Multigrid(1e-5), backend="cpu")
     off = _apart(found.displacement, places @ strain.T, problem)
     page.say(
@@ -109,7 +116,9 @@ def hollow_sphere(size: int) -> float:
     skins = tissue & ((r < 0.45) | (r > 0.82))
     exact = 0.05 * (1 + 0.1 / np.maximum(r, 0.1) ** 3)[..., None] * places
     c = np.repeat(skins[..., None], 3, axis=-1).astype(float)
-    problem = Problem(exact, c, tissue.astype(float), spacing=(2 / size,) * 3)
+    problem = Problem(
+        observed=exact, confidence=c, stiffness=tissue.astype(float), spacing=(2 / size,) * 3
+    )
     found = solve(problem, ElasticPrior(POISSON), optimizer=Multigrid(1e-4), backend="cpu")
     off = (found.displacement - exact)[tissue & ~skins]
     return float(np.sqrt((off**2).sum(axis=-1).mean()))

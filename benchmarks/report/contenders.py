@@ -200,7 +200,10 @@ def main(name: str, size: int, repeats: int, reference_file: str) -> Measured:
     for turn in range(turns):
         unit = 1 if name.endswith("again") else 1 + turn
         again = Problem(
-            problem.observed, problem.confidence, problem.stiffness * unit, spacing=problem.spacing
+            observed=problem.observed,
+            confidence=problem.confidence,
+            stiffness=problem.stiffness * unit,
+            spacing=problem.spacing,
         )
         started = time.perf_counter()
         field, taken = run(again, iterations)

@@ -122,7 +122,7 @@ def _many_materials(page: Section, settings: Settings) -> None:
     rows, worst = [], 0.0
     for ratio in (1.0, 1e2, 1e4, 1e6):
         stiffness = np.where(base.stiffness == 40, ratio, np.where(base.stiffness > 0, 1.0, 0.0))
-        problem = Problem(base.observed, base.confidence, stiffness)
+        problem = Problem(observed=base.observed, confidence=base.confidence, stiffness=stiffness)
         row: list[object] = [f"{ratio:.0e}"]
         for poisson, plane in TISSUES:
             prior = ElasticPrior(poisson, plane=plane)

@@ -56,7 +56,7 @@ class Case(NamedTuple):
         c[0] = 1
         loads = growth(self.strain) + weight(m, self.pull, spacing=self.spacing)
         loads += pressure(m, self.surface, self.amount, spacing=self.spacing)
-        return Problem(0 * c, c, m, spacing=self.spacing, loads=loads)
+        return Problem(observed=0 * c, confidence=c, stiffness=m, spacing=self.spacing, loads=loads)
 
 
 def tissue(size: int, axes: int) -> Case:
@@ -121,7 +121,7 @@ def to_calculix(case: Case, plane: str, nu: float) -> tuple[float, float, float]
     found = solve(problem, prior, optimizer=Multigrid(1e-5), backend="cpu")
     theirs = by_calculix(case, nu, plane == "stress")
     off = float(np.abs(found.displacement - theirs)[problem.tissue].max())
-    holds = reactions(problem, found, prior).reshape(-1, axes).sum(axis=0)
+    holds = reactions(problem, found).reshape(-1, axes).sum(axis=0)
     loads = problem.loads
     given = np.zeros(axes)
     if loads is not None and loads.force is not None:
@@ -284,7 +284,7 @@ def _error(
 ) -> float:
     c, middle = np.zeros_like(exact), len(m) // 2
     c[middle, :, 0] = c[:, middle, 1] = 1
-    problem = Problem(0 * c, c, m, spacing=(step, step), loads=loads)
+    problem = Problem(observed=0 * c, confidence=c, stiffness=m, spacing=(step, step), loads=loads)
     return _apart(problem, exact, plane, inside)
 
 
@@ -300,7 +300,9 @@ def disc(size: int, plane: str, radius: float = 0.4, strain: float = 0.1) -> flo
     exact = at * (rate * strain * (radius / np.maximum(r, radius)) ** 2)[..., None]
     c = np.repeat((r > 0.9)[..., None], 2, axis=-1)
     loads = growth(strain * share)
-    problem = Problem(exact, c, np.ones(r.shape), spacing=(step, step), loads=loads)
+    problem = Problem(
+        observed=exact, confidence=c, stiffness=np.ones(r.shape), spacing=(step, step), loads=loads
+    )
     return _apart(problem, exact, plane, (r < 0.9) & (np.abs(r - radius) > 0.1))
 
 

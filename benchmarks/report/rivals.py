@@ -124,7 +124,10 @@ def run_ours(images: Images, prior: ElasticPrior = PRIOR) -> Run:
         _forget(prior)
         unit = np.float32(2**turn)
         problem = Problem(
-            images.observed, images.confidence, images.stiffness * unit, spacing=images.spacing
+            observed=images.observed,
+            confidence=images.confidence,
+            stiffness=images.stiffness * unit,
+            spacing=images.spacing,
         )
         started = time.perf_counter()
         try:

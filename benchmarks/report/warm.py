@@ -95,9 +95,9 @@ def main(size: int, repeats: int) -> Warmth:
         after = moved_patch(before)
         cold = _timed(
             Problem(
-                after.observed,
-                after.confidence,
-                after.stiffness * (2 + number),
+                observed=after.observed,
+                confidence=after.confidence,
+                stiffness=after.stiffness * (2 + number),
                 spacing=after.spacing,
             )
         )
@@ -133,7 +133,12 @@ def moved_patch(problem: Problem, pixels: float = 1.0) -> Problem:
     angle = np.arctan2(*(place - place.mean(axis=0)).T)
     patch = place[np.abs(angle) < np.pi / 8]
     y[patch[:, 0], patch[:, 1], 0] += pixels
-    return Problem(y, problem.confidence, problem.stiffness, spacing=problem.spacing)
+    return Problem(
+        observed=y,
+        confidence=problem.confidence,
+        stiffness=problem.stiffness,
+        spacing=problem.spacing,
+    )
 
 
 if __name__ == "__main__":

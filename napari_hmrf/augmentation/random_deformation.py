@@ -115,9 +115,9 @@ class RandomSample:
         study, labels = self.study, self.case.labels
         rows, grown = study.tissue.materials, growth_loads(labels, study.tissue.materials)
         elasticity = Elasticity(
+            stiffness_image(labels, rows),
             ElasticPrior(poisson_image(labels, rows)).poisson,
             growth=None if grown is None else grown.growth,
-            rigid=np.isinf(stiffness_image(labels, rows)),
         )
         return Solution(
             displacement=self.displacement,

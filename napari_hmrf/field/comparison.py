@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.field.deformation import rmsd
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.observation import PixelField
 from napari_hmrf.field.units import as_seen
@@ -81,6 +82,7 @@ def compare(solution: Solution, frame: Frame, field: PixelField, reference: str)
     observation = field.on(frame, solution.tissue.shape)
     known = observation.known & solution.tissue
     distance = np.linalg.norm(solution.displacement - observation.displacement, axis=-1)
-    rmsd = float(np.sqrt((distance[known] ** 2).mean())) if known.any() else np.nan
+    moved = solution.displacement, observation.displacement
+    deviation = rmsd(*moved, known) if known.any() else np.nan
     difference = np.where(known, distance, np.nan).astype(np.float32)
-    return Comparison(reference, difference, rmsd, float(known.sum() / solution.tissue.sum()))
+    return Comparison(reference, difference, deviation, float(known.sum() / solution.tissue.sum()))

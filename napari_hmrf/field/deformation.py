@@ -29,6 +29,7 @@ from napari_hmrf.field.warp import (
 from napari_hmrf.solver.backends.compile_cache import loader, loops
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.followers import Followers, followers_of
+from napari_hmrf.solver.problem import as_numbers, grid_in_words
 
 FloatArray = npt.NDArray[np.float32]
 
@@ -66,6 +67,45 @@ def magnitude(displacement: npt.ArrayLike) -> FloatArray:
     """
     length: FloatArray = np.linalg.norm(as_field(displacement), axis=-1).astype(np.float32)
     return length
+
+
+def rmsd(
+    displacement: npt.ArrayLike, reference: npt.ArrayLike, tissue: npt.ArrayLike | None = None
+) -> float:
+    """Return the root mean square deviation of two displacements (eq. 20 of the paper).
+
+    Parameters
+    ----------
+    displacement, reference : array_like, shape ([D,] H, W, n)
+        Displacements of the same sites, in the same unit.
+    tissue : array_like of bool, shape ([D,] H, W), optional
+        Mask of the sites that are compared; by default all sites.
+
+    Returns
+    -------
+    float
+        Root of the mean, over the sites, of the squared length of the difference.
+
+    Raises
+    ------
+    ProblemError
+        If an input has an invalid shape or is not numeric, or if there are no sites to compare.
+    """
+    found, known = as_field(displacement), as_field(reference)
+    mask = np.ones(found.shape[:-1], bool)
+    if tissue is not None:
+        mask = as_numbers("tissue", tissue).astype(bool)
+    for field, shape in (("reference", known.shape[:-1]), ("tissue", mask.shape)):
+        if shape != found.shape[:-1]:
+            raise ProblemError(
+                field,
+                f"has {grid_in_words(shape)} sites, but the displacement has "
+                f"{grid_in_words(found.shape[:-1])}. Use the same pixel grid for both.",
+            )
+    if not mask.any():
+        raise ProblemError("tissue", "has no sites to compare. Include at least one site.")
+    difference = found[mask].astype(np.float64) - known[mask]
+    return float(np.sqrt((difference**2).sum(axis=-1).mean()))
 
 
 def jacobian_determinant(

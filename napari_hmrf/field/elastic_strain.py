@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from operator import add
 from typing import Any, Literal
 
@@ -191,44 +192,95 @@ def _of_model(
 ) -> tuple[Float64Array, npt.ArrayLike, BoolArray]:
     """Compute the strain as in `_elastic`, without setting it to 0 in rigid tissue."""
     gradient, numbers = _gradient(solution, sites, fraction)
-    mask = numbers.astype(bool)
-    growth, growth_across = _growth_at(elasticity, sites, numbers, fraction)
+    mean, nu = partial(_of_elements, numbers=numbers), elasticity.poisson
+    growth, growth_across = growth_at(elasticity, sites, numbers, mean, fraction)
+    # Only plane stress depends on Poisson's ratio.
+    in_slice = numbers.ndim == 2 and elasticity.plane == "stress"
+    ratio = mean(nu[sites]) if in_slice and not isinstance(nu, float) else nu
+    _, strain, across = strain_of_gradient(elasticity, gradient, growth, growth_across, ratio)
+    return strain, across, numbers.astype(bool)
+
+
+def strain_of_gradient(
+    elasticity: Elasticity,
+    gradient: Float64Array,
+    growth: Float64Array | None,
+    growth_across: npt.ArrayLike,
+    ratio: npt.ArrayLike,
+) -> tuple[Float64Array, Float64Array, npt.ArrayLike]:
+    """Return the elastic part of displacement gradients at N places.
+
+    Parameters
+    ----------
+    elasticity : Elasticity
+    gradient : ndarray, shape (N, n, n)
+        Displacement gradients H.
+    growth, growth_across
+        As from `growth_at`.
+    ratio : float or ndarray, shape (N,)
+        Poisson's ratio.
+
+    Returns
+    -------
+    own : ndarray, shape (N, n, n)
+        Elastic gradients: Fe - I for large motion, H - g for linear elasticity.
+    strain : ndarray, shape (N, n, n)
+        Elastic strains.
+    across : float or ndarray, shape (N,)
+        Elastic strain perpendicular to an image; 0 in a volume.
+    """
+    n = gradient.shape[-1]
     if elasticity.finite:
         if growth is not None:
-            step = np.eye(mask.ndim)
+            step = np.eye(n)
             gradient = (step + gradient) @ np.linalg.inv(step + growth) - step
         strain = green_lagrange(gradient)
     else:
+        gradient = gradient if growth is None else gradient - growth
         strain = symmetric(gradient)
-        if growth is not None:
-            strain -= growth
-    if mask.ndim == 3:
-        return strain, 0.0, mask
+    if n == 3:
+        return gradient, strain, 0.0
     if elasticity.plane == "strain":
         stretch = 1 / (1 + np.asarray(growth_across))
         across = (stretch**2 - 1) / 2 if elasticity.finite else -np.asarray(growth_across)
-        return strain, np.broadcast_to(across, strain.shape[:1]), mask
-    nu = elasticity.poisson
-    ratio = nu if isinstance(nu, float) else _of_elements(nu[sites], numbers)
+        return gradient, strain, np.broadcast_to(across, strain.shape[:1])
+    nu = np.asarray(ratio)
     if elasticity.finite:
         squared = np.linalg.det(np.eye(2) + gradient) ** 2
-        across = ratio * (1 - squared) / (2 * (1 - 2 * ratio + ratio * squared))
+        across = nu * (1 - squared) / (2 * (1 - 2 * nu + nu * squared))
     else:
-        across = -ratio / (1 - ratio) * np.trace(strain, axis1=-2, axis2=-1)
-    return strain, across, mask
+        across = -nu / (1 - nu) * np.trace(strain, axis1=-2, axis2=-1)
+    return gradient, strain, across
 
 
-def _growth_at(
-    elasticity: Elasticity, sites: slice, numbers: Sites, fraction: float
+def growth_at(
+    elasticity: Elasticity,
+    sites: slice,
+    numbers: Sites,
+    mean: Callable[[npt.NDArray[Any]], Float64Array],
+    fraction: float,
 ) -> tuple[Float64Array | None, npt.ArrayLike]:
-    """Return the growth strain at N tissue sites, (N, n, n) or None, and its normal component."""
+    """Return the growth strain at N places, (N, n, n) or None, and its normal component.
+
+    Parameters
+    ----------
+    elasticity : Elasticity
+    sites : slice
+        Range of the first axis.
+    numbers : ndarray of bool or int, shape ([D,] H, W)
+        Part of each site in this range.
+    mean : callable
+        Function that maps values of the sites, ([D,] H, W), to their means at the places, (N,).
+    fraction : float
+        Fraction of the growth, from 0 to 1.
+    """
     mask, n = numbers.astype(bool), numbers.ndim
     if elasticity.growth is None or not (grown := elasticity.growth[sites])[mask].any():
         return None, 0.0
     if grown.ndim == n:
-        amount = fraction * _of_elements(grown, numbers)
+        amount = fraction * mean(grown)
         return amount[:, None, None] * np.eye(n), amount
-    parts = [[_of_elements(grown[..., i, j], numbers) for j in _axes(grown)] for i in _axes(grown)]
+    parts = [[mean(grown[..., i, j]) for j in _axes(grown)] for i in _axes(grown)]
     tensor = fraction * np.moveaxis(np.array(parts), -1, 0)
     beyond = tensor.shape[-1] - n
     return tensor[:, beyond:, beyond:], tensor[:, 0, 0] if beyond else 0.0

@@ -8,7 +8,6 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.reactions import reactions
 from napari_hmrf.solver.solution import Solution
@@ -35,12 +34,12 @@ class HeldForce(NamedTuple):
     force: tuple[float, ...]
 
 
-def held_forces(problem: Problem, solution: Solution, prior: Prior) -> tuple[HeldForce, ...]:
+def held_forces(problem: Problem, solution: Solution) -> tuple[HeldForce, ...]:
     """Sum the reaction forces over each connected region with prescribed displacement.
 
     Parameters
     ----------
-    problem, solution, prior
+    problem, solution
         As for `reactions`.
 
     Returns
@@ -53,7 +52,7 @@ def held_forces(problem: Problem, solution: Solution, prior: Prior) -> tuple[Hel
     ArgumentError
         As for `reactions`.
     """
-    forces = reactions(problem, solution, prior)
+    forces = reactions(problem, solution)
     moving = (problem.known & (problem.observed != 0)).any(axis=-1)
     still = problem.known.any(axis=-1) & ~moving
     return (*_parts(forces, moving, moves=True), *_parts(forces, still, moves=False))

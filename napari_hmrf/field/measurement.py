@@ -11,10 +11,11 @@ import numpy.typing as npt
 
 from napari_hmrf.arguments import is_whole, refuse_unless, require_kind
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.field.deformation import determinant, jacobian_determinant
+from napari_hmrf.field.deformation import FloatArray, determinant, jacobian_determinant
 from napari_hmrf.field.elastic_strain import StrainKind, strain_kind, values_of_strain
 from napari_hmrf.field.parts import Sites, in_one_part
 from napari_hmrf.field.strain import equivalent_strain, fold_mask, magnitude
+from napari_hmrf.field.stress import hydrostatic_pressure, stress_values, von_mises_stress
 from napari_hmrf.field.warp import Float64Array, numbered_sites
 from napari_hmrf.solver.problem import as_numbers, grid_in_words, whole_numbers
 from napari_hmrf.solver.solution import Solution
@@ -79,6 +80,11 @@ class Measurement(NamedTuple):
         "elastic": the model's elastic strain in all three directions, without growth, as in
         `Solution.strain`. "in-plane": total strain within an image, for models without a third
         direction such as the paper's. "total": total strain of a volume.
+    mean_von_mises, largest_von_mises, mean_pressure : float, optional
+        Mean and largest von Mises stress, and mean pressure, of the sites with a stress; None if
+        there are none, as for the paper's model and rigid tissue.
+    stress_unit : str
+        Unit of the stress; "" if the stiffness is relative.
     mean_displacement_sd : float, optional
         Standard deviation of the mean displacement along the motion: the error bar of
         `mean_displacement`. None if the uncertainty is unknown.
@@ -98,9 +104,23 @@ class Measurement(NamedTuple):
     largest_strain: float
     folds: int
     strain: StrainKind = "elastic"
+    mean_von_mises: float | None = None
+    largest_von_mises: float | None = None
+    mean_pressure: float | None = None
+    stress_unit: str = ""
     mean_displacement_sd: float | None = None
     mean_vector: tuple[float, ...] = ()
     mean_vector_sd: tuple[float, ...] = ()
+
+    def __repr__(self) -> str:
+        stress = ""
+        if self.mean_von_mises is not None:
+            stress = f", von Mises stress {self.mean_von_mises:.3g} {self.stress_unit}".rstrip()
+        return (
+            f"Measurement({self.label} {self.name!r}, {self.pixels} sites, size change "
+            f"{self.size_change:.3g} %, moved {self.mean_displacement:.3g}, {self.strain} strain "
+            f"{self.mean_strain:.3g} %{stress}, {self.folds} folds)"
+        )
 
 
 def measure(
@@ -161,6 +181,9 @@ def measure(
     length, folded = magnitude(d), fold_mask(d, **solution.on_grid)
     change, weight = _changes(solution)
     strain, kind = values_of_strain(solution, equivalent_strain), strain_kind(solution)
+    stress = None
+    if solution.elasticity is not None:
+        stress = stress_values(solution, _von_mises_and_pressure)
     pixel = float(np.prod(spacing))
     measurements = []
     for label in np.unique(image[tissue]).tolist():
@@ -179,6 +202,7 @@ def measure(
                 largest_strain=float(100 * np.nanmax(strain[mask])),
                 folds=int(folded[mask].sum()),
                 strain=kind,
+                **{} if stress is None else _of_stress(stress[mask], solution.stress_unit),
                 **({} if bars is None else _error_bars(bars, d[mask], int(label), spacing)),
             )
         )
@@ -190,6 +214,24 @@ def measure(
             "labels.",
         )
     return tuple(measurements)
+
+
+def _von_mises_and_pressure(stress: Float64Array) -> FloatArray:
+    """Return the von Mises stress and the pressure of stresses, (N, 2)."""
+    return np.stack([von_mises_stress(stress), hydrostatic_pressure(stress)], axis=-1)
+
+
+def _of_stress(values: FloatArray, unit: str) -> dict[str, Any]:
+    """Return the measurements of the von Mises stress and the pressure at N sites, (N, 2)."""
+    known = values[np.isfinite(values).all(axis=-1)].astype(np.float64)
+    if not len(known):
+        return {"stress_unit": unit}
+    return {
+        "mean_von_mises": float(known[:, 0].mean()),
+        "largest_von_mises": float(known[:, 0].max()),
+        "mean_pressure": float(known[:, 1].mean()),
+        "stress_unit": unit,
+    }
 
 
 def _error_bars(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -11,10 +12,20 @@ from napari_hmrf.field.colormaps import SMALLEST, area_limits, reach_of
 from napari_hmrf.field.deformation import FloatArray, determinant_or_fold
 from napari_hmrf.field.elastic_strain import strain_kind, values_of_strain
 from napari_hmrf.field.strain import equivalent_strain, magnitude, principal_strains
+from napari_hmrf.field.stress import hydrostatic_pressure, stress_values, von_mises_stress
 from napari_hmrf.solver.solution import Solution
 
 Quantity = Literal[
-    "magnitude", "jacobian", "equivalent", "stretch", "squeeze", "rows", "columns", "shear"
+    "magnitude",
+    "jacobian",
+    "equivalent",
+    "stretch",
+    "squeeze",
+    "rows",
+    "columns",
+    "shear",
+    "von_mises",
+    "pressure",
 ]
 _PER_CENT = 100.0
 #: Largest end of a scale of strain, in per cent. Larger strain occurs only at sites that nearly
@@ -24,9 +35,14 @@ _LARGEST_STRAIN = 100.0
 #: values at one end in the colour of folds, and stops its search for folds in a 3-D view at values
 #: at this end.
 _INSIDE = 1e-3
-#: Title and unit of each quantity. The unit "" means the unit of length, and "{kind}" is replaced
-#: by the `StrainKind`. "rows", "columns" and "shear" are the components of the strain within
-#: slices, also for a volume.
+#: Function of the stress that each quantity of the stress shows.
+_OF_STRESS: dict[Quantity, Callable[[npt.NDArray[np.float64]], FloatArray]] = {
+    "von_mises": von_mises_stress,
+    "pressure": hydrostatic_pressure,
+}
+#: Title and unit of each quantity. The unit "" means the unit of length, "{stress}" is replaced by
+#: the unit of stress, and "{kind}" by the `StrainKind`. "rows", "columns" and "shear" are the
+#: components of the strain within slices, also for a volume.
 QUANTITIES: dict[Quantity, tuple[str, str]] = {
     "magnitude": ("displacement", ""),
     "jacobian": ("area change", "ratio"),
@@ -36,6 +52,8 @@ QUANTITIES: dict[Quantity, tuple[str, str]] = {
     "rows": ("{kind} strain from row to row", "%"),
     "columns": ("{kind} strain from column to column", "%"),
     "shear": ("{kind} shear strain", "%"),
+    "von_mises": ("von Mises stress", "{stress}"),
+    "pressure": ("pressure", "{stress}"),
 }
 
 
@@ -44,7 +62,8 @@ def title_and_unit(quantity: Quantity, solution: Solution) -> tuple[str, str]:
     title, unit = QUANTITIES[quantity]
     if solution.tissue.ndim == 3:
         title = title.replace("area", "volume")
-    return title.format(kind=strain_kind(solution)), unit
+    words = {"kind": strain_kind(solution), "stress": solution.stress_unit or "relative"}
+    return title.format(**words), unit.format(**words)
 
 
 class Coloured(NamedTuple):
@@ -53,8 +72,8 @@ class Coloured(NamedTuple):
     Attributes
     ----------
     values : ndarray, shape ([D,] H, W), float32
-        Values in the unit of `QUANTITIES`; NaN outside tissue. Strain at folds is infinity, or
-        -infinity if `descending`.
+        Values in the unit of `QUANTITIES`; NaN outside tissue. Strain and stress at folds are
+        infinity, or -infinity if `descending`.
     limits : (float, float)
         Ends of the scale.
     signed : bool
@@ -81,8 +100,8 @@ class Coloured(NamedTuple):
         """Return a mask of the folds in `values`, or in a slice of `values`."""
         if not self.folded:
             return np.zeros(values.shape, dtype=bool)
-        is_strain = bool(np.isinf(self.values).any())
-        mask: npt.NDArray[np.bool_] = np.isinf(values) if is_strain else values <= 0
+        is_infinite = bool(np.isinf(self.values).any())
+        mask: npt.NDArray[np.bool_] = np.isinf(values) if is_infinite else values <= 0
         return mask
 
 
@@ -93,7 +112,7 @@ def coloured(solution: Solution, quantity: Quantity) -> Coloured:
     ----------
     solution : Solution
     quantity : {"magnitude", "jacobian", "equivalent", "stretch", "squeeze", "rows", "columns", \
-"shear"}
+"shear", "von_mises", "pressure"}
         Strains are of the kind given by `strain_kind`. "stretch" is the largest and "squeeze" the
         smallest principal strain, in the plane of an image. "jacobian" is computed by
         `area_change`.
@@ -102,18 +121,27 @@ def coloured(solution: Solution, quantity: Quantity) -> Coloured:
     -------
     Coloured
     """
-    values, signed = values_of(solution, quantity), quantity not in ("magnitude", "equivalent")
+    values = values_of(solution, quantity)
+    signed = quantity not in ("magnitude", "equivalent", "von_mises")
     if quantity == "jacobian":
         folded = bool((values <= 0).any())
         return Coloured(values, area_limits(values, folded), signed, folded, folded)
     is_strain = QUANTITIES[quantity][1] == "%"
-    if is_strain:
+    if is_strain or quantity in _OF_STRESS:
         values = without_folds(values, solution, quantity)
-    reach = reach_of(values, signed, SMALLEST * (_PER_CENT if is_strain else 1))
+    reach = reach_of(values, signed, SMALLEST * _size_of_one(solution, quantity))
     if is_strain:
         reach = min(reach, _LARGEST_STRAIN)
     folded, descending = bool(np.isinf(values).any()), quantity == "squeeze"
     return Coloured(values, (-reach if signed else 0.0, reach), signed, folded, descending)
+
+
+def _size_of_one(solution: Solution, quantity: Quantity) -> float:
+    """Return the size of a quantity at a strain, or a displacement, of about 1."""
+    if quantity in _OF_STRESS and solution.elasticity is not None:
+        stiffness = solution.elasticity.stiffness
+        return float(stiffness[np.isfinite(stiffness)].max(initial=0.0)) or 1.0
+    return _PER_CENT if QUANTITIES[quantity][1] == "%" else 1.0
 
 
 def neutral_value(quantity: Quantity) -> float:
@@ -124,7 +152,7 @@ def neutral_value(quantity: Quantity) -> float:
 def without_folds(
     values: FloatArray, solution: Solution, quantity: Quantity, fraction: float = 1.0
 ) -> FloatArray:
-    """Replace the strain at folds, where strain is not defined, by infinity or -infinity.
+    """Replace strain or stress at folds, where it is not defined, by infinity or -infinity.
 
     The sign is that of the values that matter most, so that other values on a line of sight do not
     hide folds in a 3-D view.
@@ -160,6 +188,8 @@ def values_of(solution: Solution, quantity: Quantity, fraction: float = 1.0) -> 
         return np.where(tissue, fraction * magnitude(solution.displacement), np.float32(np.nan))
     if quantity == "jacobian":
         return area_change(solution, fraction)
+    if quantity in _OF_STRESS:
+        return stress_values(solution, _OF_STRESS[quantity], fraction=fraction)
 
     def value(strain: npt.NDArray[np.float64], across: npt.ArrayLike) -> npt.NDArray[np.floating]:
         if quantity == "equivalent":

@@ -64,7 +64,7 @@ def rehearse(
     y, c = np.zeros((2, *shape, n))
     c[0] = c[-1] = 1
     y[-1] = min(spacing)
-    problem = Problem(y, c, np.ones(shape), spacing=spacing)
+    problem = Problem(observed=y, confidence=c, stiffness=np.ones(shape), spacing=spacing)
     small = prior.rehearsal(problem.shape)
     run_here(problem, small, Multigrid(TOLERANCE), "auto", report, left)
     tissue = np.ones(np.shape(pictures[0].image)[:n], dtype=bool)

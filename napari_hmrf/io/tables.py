@@ -56,6 +56,12 @@ _OF_IMAGES = {"size": "area", "size_change": "area_change"}
 _OF_VOLUMES = {"pixels": "voxels", "size": "volume", "size_change": "volume_change"}
 #: Measurements in per cent, for which the column titles contain the unit.
 _PER_CENT = ("size_change", "mean_strain", "largest_strain")
+#: Titles of the columns of stress, without its unit.
+_OF_STRESS = {
+    "mean_von_mises": "mean_von_mises_stress",
+    "largest_von_mises": "largest_von_mises_stress",
+    "mean_pressure": "mean_pressure",
+}
 #: Measurement that is a column only if the uncertainty is known.
 _SD = "mean_displacement_sd"
 #: Share of the magnitude of a force below which a component is shown as 0.
@@ -331,7 +337,8 @@ def measurement_table(
     -------
     titles : list of str
         Titles of the columns. The titles of strain columns contain the kind of strain, as in
-        "mean_elastic_strain_percent". Measurements with error bars have the further column
+        "mean_elastic_strain_percent", and those of stress its unit, as in
+        "mean_von_mises_stress_kPa". Measurements with error bars have the further column
         "mean_displacement_sd".
     cells : list of tuple
         Cells of each row.
@@ -339,7 +346,10 @@ def measurement_table(
     kind = _strain_of(rows).replace("-", "_")
     words = {name: name.replace("strain", f"{kind}_strain") for name in Measurement._fields}
     words |= _OF_VOLUMES if volume else _OF_IMAGES
-    hidden = {"strain", "mean_vector", "mean_vector_sd"}
+    words |= {name: f"{title}{_stress_suffix(rows)}" for name, title in _OF_STRESS.items()}
+    hidden = {"strain", "stress_unit", "mean_vector", "mean_vector_sd"}
+    if not _has_stress(rows):
+        hidden |= _OF_STRESS.keys()
     if not has_error_bars(rows):
         hidden.add(_SD)
     names = [name for name in Measurement._fields if name not in hidden]
@@ -369,6 +379,16 @@ def _vector_table(
         pairs = zip(row.mean_vector, row.mean_vector_sd, strict=True)
         cells.append((*chain.from_iterable(pairs),) or empty)
     return titles, cells
+
+
+def _has_stress(rows: Sequence[Measurement]) -> bool:
+    """Return whether any tissue has a stress."""
+    return any(row.mean_von_mises is not None for row in rows)
+
+
+def _stress_suffix(rows: Sequence[Measurement]) -> str:
+    """Return the unit of stress as the end of a column title; "" for relative stress."""
+    return f"_{rows[0].stress_unit}" if rows and rows[0].stress_unit else ""
 
 
 def _strain_of(rows: Sequence[Measurement]) -> StrainKind:
@@ -409,6 +429,13 @@ def measurements_in_words(
         f"{kind} strain, most (%)": "largest_strain",
         f"folds ({site})": "folds",
     }
+    if _has_stress(rows):
+        unit_of_stress = rows[0].stress_unit or "relative"
+        columns |= {
+            f"von Mises, mean ({unit_of_stress})": "mean_von_mises",
+            f"von Mises, most ({unit_of_stress})": "largest_von_mises",
+            f"pressure, mean ({unit_of_stress})": "mean_pressure",
+        }
     axes = 3 if volume else 2
     return [*columns], [[_in_words(row, name, axes) for name in columns.values()] for row in rows]
 
@@ -453,8 +480,12 @@ def forces_in_words(
 def _in_words(row: Measurement, name: str, axes: int) -> str:
     """Format a measurement with four digits; show large numbers in full and tiny values as 0."""
     value = getattr(row, name)
+    if value is None:
+        return ""
     if not isinstance(value, float):
         return str(value)
+    if name in _OF_STRESS:
+        return f"{value:.4g}"
     if name != "size":
         pixel = (row.size / row.pixels) ** (1 / axes)
         value = as_seen(value, [pixel if name.endswith("displacement") else 1.0])

@@ -12,6 +12,7 @@ import numpy as np
 from napari_hmrf.field.held_forces import held_forces
 from napari_hmrf.layers.result_layers import Outputs, result_layers
 from napari_hmrf.posterior.study_uncertainty import ground_uncertainty
+from napari_hmrf.solver.drift import drift_clauses
 from napari_hmrf.solver.priors import Elastic, ElasticPrior
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.engine import Deformation
@@ -48,15 +49,17 @@ def complete_result(
     assert ground is not None
     assert stated is not None
     assert solved is not None
-    kept = _solution_to_keep(moved, ground)
     place, pictures = study.grid.place, study.pictures
     if stated.labels is not None:
         pictures = replace(pictures, labels=stated.labels)
     # A ground may be older than the drawing.
     ground = replace(ground, study=study)
+    of_study = tuple(filter(None, ground.notes_on(stated)))
+    stored = (*drift_clauses(solved), *of_study) if of_study else solved.notes
+    kept = replace(_solution_to_keep(moved, ground), notes=stored)
     forces = estimate = None
     if isinstance(stated.prior, Elastic):
-        forces = partial(held_forces, stated.problem, solved, stated.prior)
+        forces = partial(held_forces, stated.problem, solved)
     if isinstance(stated.prior, ElasticPrior):
         labels = pictures.labels
         is_quick = labels is None or len(np.unique(labels)) <= _MOST_LABELS
@@ -66,8 +69,8 @@ def complete_result(
     caveats = [*shortcomings(solved, study.grid.unit, outputs.folds, stated.problem)]
     if outputs.folds:
         del caveats[0]  # the warning chip reports the number of folds
-    notes = (*caveats, *ground.notes_on(stated))
-    return CompleteResult(moved, outputs, tuple(filter(None, notes)))
+    notes = (*filter(None, caveats), *of_study)
+    return CompleteResult(moved, outputs, notes)
 
 
 def _solution_to_keep(moved: Deformation, ground: Ground) -> Solution:
@@ -80,7 +83,8 @@ def _solution_to_keep(moved: Deformation, ground: Ground) -> Solution:
         solution = replace(solution, displacement=field, tissue=body)
     if study.motion.drawing.marks:
         solution = replace(solution, frame={"drawing": record_of(study.motion.drawing)})
-    if study.tissue.record:
-        parameters = {**solution.provenance.parameters, "tissue": dict(study.tissue.record)}
+    if study.tissue.record or study.tissue.stiffness_unit:
+        record = {"unit": study.tissue.stiffness_unit, **study.tissue.record}
+        parameters = {**solution.provenance.parameters, "tissue": record}
         solution = replace(solution, provenance=replace(solution.provenance, parameters=parameters))
     return solution

@@ -419,6 +419,8 @@ def _pixels_of(
     The result is None if there is no such overlay.
     """
     pictures, problem = answer.pictures, answer.problem
+    if name in ("von_mises", "pressure") and answer.solution.elasticity is None:
+        return None
     if name in QUANTITIES:
         title, unit = title_and_unit(name, answer.solution)
         shown = coloured(answer.solution, name)
@@ -445,16 +447,10 @@ def _pixels_of(
     if name == "stiffness" and problem is not None:
         m = problem.stiffness
         most = float(m[np.isfinite(m)].max(initial=0.0)) or 1.0
-        unit = stiffness_unit(answer) or "relative"
+        unit = answer.solution.stress_unit or "relative"
         look = {"colormap": label_colours.stiffness_colours(), **label_colours.OVER}
         return m, f"stiffness ({unit})", {**look, "contrast_limits": (1e-9, most)}
     return None
-
-
-def stiffness_unit(answer: PlacedSolution) -> str:
-    """Return the unit of stiffness in a result, or "" if the stiffness is relative."""
-    tissue = answer.solution.provenance.parameters.get("tissue", {})
-    return str(tissue.get("unit") or tissue.get("curve", {}).get("unit") or "")
 
 
 def _colours(shown: Coloured) -> dict[str, Any]:

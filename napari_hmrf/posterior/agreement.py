@@ -124,7 +124,8 @@ def check_agreement(
     >>> targets = points + (0.2, 0)
     >>> targets[3] = (14, 14)
     >>> marks = Landmarks(points, targets, sd=0.2, scale=StrainScale(0.1))
-    >>> agreement = check_agreement(Problem(0 * held, held, np.ones((32, 32)), landmarks=marks))
+    >>> given = {"observed": 0 * held, "confidence": held, "stiffness": np.ones((32, 32))}
+    >>> agreement = check_agreement(Problem(**given, landmarks=marks))
     >>> agreement.p_value < 0.001, int(agreement.landmark_p_values.argmin())
     (True, 3)
     """

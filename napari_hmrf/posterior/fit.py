@@ -210,9 +210,9 @@ def fit(
     >>> held, moved = np.zeros((2, 32, 32, 2))
     >>> held[[0, -1]] = 1
     >>> moved[-1, :, 0] = 2
-    >>> true = Problem(moved, held, np.where(labels == 2, 5.0, 1.0))
+    >>> true = Problem(observed=moved, confidence=held, stiffness=np.where(labels == 2, 5.0, 1.0))
     >>> seen = solve(true).displacement + np.random.default_rng(0).normal(0, 0.02, moved.shape)
-    >>> guess = Problem(moved, held, np.ones((32, 32)))
+    >>> guess = Problem(observed=moved, confidence=held, stiffness=np.ones((32, 32)))
     >>> found = fit(guess, labels, measured=seen, sd=0.02, stiffness=[2]).stiffness[2]
     >>> found.interval[0] < 5 < found.interval[1]
     True

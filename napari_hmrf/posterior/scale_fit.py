@@ -152,7 +152,8 @@ def fit_scale(
     >>> points = np.array([(8, 8), (8, 24), (16, 16), (24, 8), (24, 24), (30, 16)])
     >>> targets = points + np.outer(points[:, 0] / 10, (1, 0))
     >>> marks = Landmarks(points, targets, sd=0.2, scale=StrainScale(0.5))
-    >>> found = fit_scale(Problem(0 * held, held, np.ones((32, 32)), landmarks=marks))
+    >>> given = {"observed": 0 * held, "confidence": held, "stiffness": np.ones((32, 32))}
+    >>> found = fit_scale(Problem(**given, landmarks=marks))
     >>> low, high = found.strain_interval
     >>> 0.1 < low < found.scale.strain < high < 0.5
     True

@@ -272,7 +272,8 @@ def uncertainty(
     >>> from napari_hmrf.posterior import uncertainty
     >>> held = np.zeros((40, 40, 2))
     >>> held[:, 0] = 1
-    >>> result = uncertainty(Problem(np.zeros_like(held), held, np.ones((40, 40))))
+    >>> tissue = np.ones((40, 40))
+    >>> result = uncertainty(Problem(observed=0 * held, confidence=held, stiffness=tissue))
     >>> bool(result.sd[20, 2, 0] < result.sd[20, 39, 0])  # held tissue is certain
     True
     """

@@ -338,9 +338,9 @@ class _StepSolver:
             base.known,
         )
         problem = Problem(
-            observed,
-            base.confidence,
-            base.stiffness,
+            observed=observed,
+            confidence=base.confidence,
+            stiffness=base.stiffness,
             spacing=base.spacing,
             loads=base.loads,
             precision=precision,
@@ -407,9 +407,9 @@ def _on_level(problem: Problem, size: int) -> Problem:
         )
         loads = Loads(growth=growth, force=force)
     return Problem(
-        problem.observed[every],
-        problem.confidence[every],
-        m,
+        observed=problem.observed[every],
+        confidence=problem.confidence[every],
+        stiffness=m,
         spacing=[size * each for each in problem.spacing],
         loads=loads,
         precision=placeholder(m > 0),

@@ -139,9 +139,9 @@ def register(
     images = on_grid(first, second, counted, sizes, own_sizes, matrix)
     check_contrast(images)
     problem = Problem(
-        np.zeros((*m.shape, axes), np.float32),
-        np.zeros((*m.shape, axes), np.float32),
-        m,
+        observed=np.zeros((*m.shape, axes), np.float32),
+        confidence=np.zeros((*m.shape, axes), np.float32),
+        stiffness=m,
         spacing=sizes,
         precision=placeholder(m > 0, typical_stiffness(m)),
         landmarks=landmarks,

@@ -57,9 +57,9 @@ def with_rigid_held(problem: Problem, displacement: npt.NDArray[np.floating]) ->
     sites, soft = rigid_sites(m), np.isfinite(m)
     largest = m[soft].max(initial=0)
     return Problem(
-        np.where(sites[..., None], displacement, problem.observed),
-        np.where(sites[..., None], 1, problem.confidence),
-        np.where(soft, m, largest if largest > 0 else 1),
+        observed=np.where(sites[..., None], displacement, problem.observed),
+        confidence=np.where(sites[..., None], 1, problem.confidence),
+        stiffness=np.where(soft, m, largest if largest > 0 else 1),
         spacing=problem.spacing,
         loads=problem.loads,
         precision=problem.precision,

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-import numpy.typing as npt
-
+from napari_hmrf.field.deformation import rmsd as deviation
 from napari_hmrf.io.figures import write_pictures
 from napari_hmrf.samples.phantoms import Phantom, phantom, reference_displacement, sample
 from napari_hmrf.solver.model_names import in_words
@@ -139,9 +136,10 @@ def demonstrate(
     rmsd = rmsd_of_fem = None
     if size == SAMPLE_SIZE:
         reference = reference_displacement(name)
-        rmsd = _rmsd(solution, reference)
+        rmsd = deviation(solution.displacement, reference, solution.tissue)
         if isinstance(prior, ElasticPrior) and prior != FEM:
-            rmsd_of_fem = _rmsd(solve(subject.problem, FEM, **options), reference)
+            same = solve(subject.problem, FEM, **options)
+            rmsd_of_fem = deviation(same.displacement, reference, same.tissue)
     return Demonstration(
         phantom=subject,
         solution=solution,
@@ -158,8 +156,3 @@ def write_results(demonstration: Demonstration, folder: Path) -> list[Path]:
     subject = demonstration.phantom
     pictures = write_pictures(folder, subject.image, subject.problem, demonstration.solution)
     return [path, *pictures]
-
-
-def _rmsd(solution: Solution, reference: npt.NDArray[np.float32]) -> float:
-    difference = (solution.displacement - reference)[solution.tissue]
-    return math.sqrt(float(np.mean(np.sum(difference.astype(np.float64) ** 2, axis=-1))))

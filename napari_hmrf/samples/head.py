@@ -96,7 +96,7 @@ class HeadPhantom:
         """Problem that the labels and their tables define."""
         y, c = boundary_images(self.boundary_labels, self.boundary, spacing=self.spacing)
         m = stiffness_image(self.tissue_labels, self.materials)
-        return Problem(y, c, m, spacing=self.spacing)
+        return Problem(observed=y, confidence=c, stiffness=m, spacing=self.spacing)
 
     @property
     def frame(self) -> Frame:

@@ -97,7 +97,7 @@ class Phantom:
         loads = growth_loads(self.tissue_labels, self.materials)
         m = stiffness_image(self.tissue_labels, self.materials)
         parts = sliding_parts(self.tissue_labels, self.materials, m)
-        return Problem(y, c, m, loads=loads, sliding=parts)
+        return Problem(observed=y, confidence=c, stiffness=m, loads=loads, sliding=parts)
 
     def growing(self, strain: float = 0.4) -> Phantom:
         """Return the brain of "mass-effect" with a growing tumour instead of a pushed rim.

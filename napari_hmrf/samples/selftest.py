@@ -100,7 +100,7 @@ def affine_example(shape: tuple[int, ...] = (16, 23)) -> tuple[Problem, np.ndarr
     field = sites @ gradient[:axes, :axes].T + np.array([0.7, -1.3, 0.4])[:axes]
     border = np.ones((*shape, axes), dtype=bool)
     border[(slice(1, -1),) * axes] = False
-    return Problem(field * border, border, np.ones(shape)), field
+    return Problem(observed=field * border, confidence=border, stiffness=np.ones(shape)), field
 
 
 def _report_versions(write_line: Callable[[str], None]) -> None:

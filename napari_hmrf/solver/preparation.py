@@ -70,7 +70,12 @@ def prepare(
     y, c, m = np.zeros((*grid, axes)), np.zeros((*grid, axes)), np.ones(grid)
     c[0] = c[-1] = 1
     y[-1] = 1
-    small = Problem(y, c, m, spacing=(1.0,) * axes if square else (1.0, 2.0, 2.0)[:axes])
+    small = Problem(
+        observed=y,
+        confidence=c,
+        stiffness=m,
+        spacing=(1.0,) * axes if square else (1.0, 2.0, 2.0)[:axes],
+    )
     tissue = prior.rehearsal(small.shape)
 
     def report_preparing(_: Monitor) -> None:

@@ -97,10 +97,10 @@ class Problem:
 
     def __init__(
         self,
+        *,
         observed: npt.ArrayLike,
         confidence: npt.ArrayLike,
         stiffness: npt.ArrayLike,
-        *,
         spacing: Sequence[float] = _EVEN,
         loads: Loads | None = None,
         precision: npt.ArrayLike | None = None,
@@ -227,9 +227,9 @@ class Problem:
         at_rest : ndarray of bool, shape (H, W) or (D, H, W)
         """
         return Problem(
-            self.observed,
-            self.confidence,
-            np.where(at_rest, np.float32(0), self.stiffness),
+            observed=self.observed,
+            confidence=self.confidence,
+            stiffness=np.where(at_rest, np.float32(0), self.stiffness),
             spacing=self.spacing,
             loads=self.loads,
             precision=self.precision,
@@ -375,7 +375,7 @@ def _as_image(stiffness: npt.ArrayLike, axes: tuple[int, ...] = (2, 3)) -> Float
     image = as_float32("stiffness", stiffness)
     if image.ndim not in axes:
         swapped = image.ndim == 3 and image.shape[-1] == 2  # one value for each component
-        hint = "Pass observed, confidence and stiffness in this order." if swapped else ""
+        hint = "Pass one value for each pixel." if swapped else ""
         volume = " or a volume (D, H, W)" if 3 in axes else ""
         raise ProblemError(
             "stiffness",

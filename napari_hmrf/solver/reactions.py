@@ -11,7 +11,7 @@ from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.rigid.bodies import Bodies, bodies_of
 from napari_hmrf.solver.connected import connected
 from napari_hmrf.solver.drift import has_drift, with_drift_of
-from napari_hmrf.solver.priors import Elastic, ElasticPrior, NeoHookeanPrior, Prior
+from napari_hmrf.solver.priors import NeoHookeanPrior
 from napari_hmrf.solver.problem import Problem, grid_in_words
 from napari_hmrf.solver.solution import Solution
 
@@ -19,9 +19,7 @@ from napari_hmrf.solver.solution import Solution
 _SAME_SPACING = 1e-6
 
 
-def reactions(
-    problem: Problem, solution: Solution, prior: Prior | None = None
-) -> npt.NDArray[np.float64]:
+def reactions(problem: Problem, solution: Solution) -> npt.NDArray[np.float64]:
     """Return the force that each observed site exerts on the tissue.
 
     The reactions and the forces of the problem's loads add up to zero. The sum over a mark is the
@@ -33,9 +31,7 @@ def reactions(
     ----------
     problem : Problem
     solution : Solution
-        Solution of this problem.
-    prior : ElasticPrior or NeoHookeanPrior, optional
-        Prior of the solve; by default `ElasticPrior()`, as in `solve`.
+        Solution of this problem, which contains the prior of the solve.
 
     Returns
     -------
@@ -48,22 +44,17 @@ def reactions(
     Raises
     ------
     ArgumentError
-        If an argument has the wrong type, the solution belongs to another problem or prior, or the
-        prior is not elastic.
+        If an argument has the wrong type, the solution belongs to another problem, or its prior is
+        not elastic.
     """
     require_kind(Problem, "problem", problem, "Problem(observed, confidence, stiffness)")
     require_kind(Solution, "solution", solution, "the result of solve()")
-    prior = ElasticPrior() if prior is None else prior
-    if not isinstance(prior, Elastic):
+    if solution.elasticity is None:
         raise ArgumentError(
-            "the paper's prior has no forces, so there are no reactions. Pass an elastic prior"
+            "solution has no forces, because its prior is not elastic. Solve with ElasticPrior() "
+            "or NeoHookeanPrior()"
         )
-    given = dict(prior.in_force(problem).parameters)
-    if problem.is_volume:
-        given.pop("plane", None)
-    used = solution.provenance.parameters.get("prior", given)
-    if used != given:
-        raise ArgumentError(f"the solution has the prior {used}. Pass that prior, not {given}")
+    prior = solution.elasticity.prior
     if not np.allclose(problem.spacing, solution.spacing, rtol=_SAME_SPACING, atol=0):
         raise ArgumentError(
             f"the problem has pixels of {grid_in_words(problem.spacing)}, but the solution has "

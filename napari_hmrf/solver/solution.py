@@ -82,6 +82,7 @@ class Solution:
         Components in (row, col) order, in the unit of `spacing`. Material displacement
         (push-forward): tissue at X moves to X + d(X). Zero where there is no tissue. The type is
         float64, also in files, if float32 would exceed the tolerance or fold a crushed pixel.
+        Read-only.
     energy : ndarray, shape (iterations,), float64
         Mean total energy per site of tissue after each iteration, coarse to fine, in pixels
         squared, minus the work of loads; one value if no iteration was needed. For multigrid with
@@ -105,11 +106,11 @@ class Solution:
         Loads of the problem, and the growth of a drift, for warm starts from this solution. Files
         contain only the digest of the loads.
     elasticity : Elasticity, optional
-        Poisson's ratios and growth of elastic tissue, from which `strain` and `measure` compute
-        elastic strain. None for the paper's model.
+        Stiffness, Poisson's ratios and growth of elastic tissue, from which `strain`, `stress` and
+        `measure` compute elastic strain and stress. None for the paper's model.
     notes : tuple of str
-        Clauses for the user about input without effect, assumptions and shortcomings. Files do not
-        contain the notes.
+        Clauses for the user about input without effect, assumptions and shortcomings. In scripts,
+        each is also a `NoteWarning`.
     unit : str
         Unit of `spacing` and `displacement`, such as "mm", as in the `Grid` of a study; "" if
         unknown, as for a `Problem`.
@@ -151,17 +152,23 @@ class Solution:
                 f"has a displacement of shape {self.displacement.shape}, tissue of shape {shape} "
                 f"and the spacing {shown(self.spacing)}. Use the same grid for all three.",
             )
+        if self.displacement.flags.writeable:
+            field = self.displacement.view()
+            field.setflags(write=False)
+            object.__setattr__(self, "displacement", field)
 
     def __repr__(self) -> str:
         unit = self._unit_in_words
         farthest = float(np.linalg.norm(self.displacement, axis=-1).max(initial=0.0))
         run = self.provenance
         near = "" if self.convergence is None else f", within {self.convergence.error:.1g} px"
+        count = len(self.notes)
+        noted = f", {count} note{'s' * (count > 1)}" if count else ""
         return (
             f"Solution({grid_in_words(self.tissue.shape)} sites of {grid_in_words(self.spacing)}"
             f"{unit or ' (unit unknown)'}, {run.model or 'unknown model'}, moved up to "
             f"{farthest:.3g}{unit}, {self.iterations} iterations in {run.seconds:.2g} s on "
-            f"{run.backend}{near})"
+            f"{run.backend}{near}{noted})"
         )
 
     @property
@@ -267,6 +274,83 @@ class Solution:
             return elastic_strain(self)
         of_field = green_lagrange_strain if kind == "total" else small_strain
         return of_field(self.displacement, **self.on_grid)
+
+    def stress(self, *, at: Literal["sites", "elements"] = "sites") -> npt.NDArray[np.float32]:
+        """Return the Cauchy stress of elastic tissue, without growth.
+
+        Parameters
+        ----------
+        at : {"sites", "elements"}
+            "elements" is the stress of the model at the centre of each block of 2 x 2 (2 x 2 x 2)
+            sites. "sites" is the mean over the elements around each site.
+
+        Returns
+        -------
+        ndarray, float32
+            Symmetric tensors, shape ([D,] H, W, 3, 3), or one less along each axis of the grid for
+            elements, in `stress_unit`; positive in tension. For an image, the first axis is
+            perpendicular to the image. NaN outside tissue, in rigid tissue and at sites without
+            an element.
+
+        Raises
+        ------
+        ArgumentError
+            If `at` is not one of these values.
+        ProblemError
+            If the model has no stress, such as the paper's model.
+        """
+        from napari_hmrf.field.stress import stress_values  # above: field
+
+        return stress_values(self, at=at)
+
+    def von_mises(self, *, at: Literal["sites", "elements"] = "sites") -> npt.NDArray[np.float32]:
+        """Return the von Mises stress, as `von_mises_stress` of `stress`.
+
+        Parameters
+        ----------
+        at : {"sites", "elements"}
+            As for `stress`.
+
+        Returns
+        -------
+        ndarray, shape ([D,] H, W), or one less along each axis for elements, float32
+
+        Raises
+        ------
+        ArgumentError, ProblemError
+            As for `stress`.
+        """
+        from napari_hmrf.field.stress import stress_values, von_mises_stress  # above: field
+
+        return stress_values(self, von_mises_stress, at=at)
+
+    def pressure(self, *, at: Literal["sites", "elements"] = "sites") -> npt.NDArray[np.float32]:
+        """Return the pressure in the tissue, minus a third of the trace of `stress`.
+
+        Parameters
+        ----------
+        at : {"sites", "elements"}
+            As for `stress`.
+
+        Returns
+        -------
+        ndarray, shape ([D,] H, W), or one less along each axis for elements, float32
+            Positive where the tissue is compressed.
+
+        Raises
+        ------
+        ArgumentError, ProblemError
+            As for `stress`.
+        """
+        from napari_hmrf.field.stress import hydrostatic_pressure, stress_values  # above: field
+
+        return stress_values(self, hydrostatic_pressure, at=at)
+
+    @property
+    def stress_unit(self) -> str:
+        """Unit of stress and stiffness, such as "kPa"; "" if the stiffness is relative."""
+        tissue = self.provenance.parameters.get("tissue", {})
+        return str(tissue.get("unit", ""))
 
     def at(self, points: npt.ArrayLike, *, extend: bool = False) -> npt.NDArray[np.float64]:
         """Return the displacement at points of the tissue, interpolated linearly.
@@ -487,6 +571,7 @@ def _describe(solution: Solution) -> tuple[array_file.Header, array_file.Arrays]
         "frame": solution.frame,
         "convergence": None if reached is None else asdict(reached),
         "reach": None if got is None else asdict(got),
+        "notes": list(solution.notes),
     }
     arrays = {name: getattr(solution, name) for name in ("displacement", "energy", "tissue")}
     if solution.displacement.dtype != np.float64:
@@ -498,9 +583,9 @@ def _describe(solution: Solution) -> tuple[array_file.Header, array_file.Arrays]
             "plane": elasticity.plane,
             "finite": elasticity.finite,
         }
+        arrays["stiffness"] = elasticity.stiffness
         arrays |= {} if isinstance(nu, float) else {"poisson": nu}
         arrays |= {} if growth is None else {"growth": growth}
-        arrays |= {} if elasticity.rigid is None else {"rigid": elasticity.rigid}
     arrays |= {} if solution.removed is None else {"removed": solution.removed}
     arrays |= {} if solution.parts is None else {"parts": solution.parts}
     return header, arrays
@@ -548,6 +633,7 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> Solution:
         else Convergence(float(reached["error"]), float(reached["residual"]), str(reached["way"])),
         frame=frame,
         reach=_reach(header["reach"]),
+        notes=tuple(map(str, header["notes"])),
         elasticity=read_elasticity(header, arrays),
         unit=str(header["unit"]),
         removed=removed,
@@ -584,7 +670,7 @@ SOLUTION_FORMAT: array_file.Format[Solution] = array_file.Format(
         "tissue": array_file.Kind(("|b1",), (2, 3)),
         "poisson": array_file.Kind(("<f4",), (2, 3), optional=True),
         "growth": array_file.Kind(("<f4",), (2, 3, 4, 5), optional=True),
-        "rigid": array_file.Kind(("|b1",), (2, 3), optional=True),
+        "stiffness": array_file.Kind(("<f4", "<f8"), (2, 3), optional=True),
         "removed": array_file.Kind(("|b1",), (2, 3), optional=True),
         "parts": array_file.Kind(("<i4",), (2, 3), optional=True),
     },

@@ -239,7 +239,7 @@ def _is_initial(value: object) -> bool:
 _ARGUMENTS: dict[str, tuple[Callable[[object], bool], str]] = {
     "problem": (
         lambda value: isinstance(value, Problem),
-        "a Problem: Problem(observed, confidence, stiffness)",
+        "a Problem: Problem(observed=observed, confidence=confidence, stiffness=stiffness)",
     ),
     "prior": (
         lambda value: isinstance(value, Prior | None),
@@ -384,6 +384,8 @@ def _solution_of(
             "damping of the prior and the size of the observed displacement; if both are "
             'reasonable, try backend="cpu".'
         )
+    # The solution keeps this array itself, because warm starts recognize it.
+    displacement.setflags(write=False)
     grown = 1.0 if outcome.reach is None else outcome.reach.grown
     of_prior = dict(prior.parameters)
     if problem.is_volume:

@@ -259,9 +259,9 @@ class Ground:
                 marks, points, m, self.body, spacing, motion.typical_strain, bool(motion.drift)
             )
             problem = Problem(
-                y,
-                canvas.confidence,
-                m,
+                observed=y,
+                confidence=canvas.confidence,
+                stiffness=m,
                 spacing=spacing,
                 loads=loads,
                 precision=precision,
@@ -662,10 +662,14 @@ def solve_statement(
 
 
 def at_place_of(study: Study, solution: Solution) -> Solution:
-    """Return a solution with the place and the unit of the grid of a study."""
+    """Return a solution with the place of the grid of a study, and its units."""
     place = study.grid.place
     frame = None if place is None else place.as_dict()
-    return replace(solution, frame=frame, unit=study.grid.unit)
+    parameters = dict(solution.provenance.parameters)
+    if unit := study.tissue.stiffness_unit:
+        parameters["tissue"] = {"unit": unit}
+    provenance = replace(solution.provenance, parameters=parameters)
+    return replace(solution, frame=frame, unit=study.grid.unit, provenance=provenance)
 
 
 def _check_study(study: object) -> None:
@@ -744,8 +748,7 @@ def _tissue_of(study: Study) -> Ground:
         m = np.where(around, np.float32(_SURROUNDINGS), np.float32(_TISSUE))
         labels = np.where(around, OTHER, palette.unpainted_label).astype(np.int32)
     if tissue.stiffness is not None or tissue.curve is not None:
-        unit = tissue.unit or (tissue.curve.unit if tissue.curve is not None else "")
-        palette = Palette.of_preset(tissue.preset, typical_stiffness(m), unit)
+        palette = Palette.of_preset(tissue.preset, typical_stiffness(m), tissue.stiffness_unit)
     base, body = Canvas.blank(shape, study.grid.spacing, labels), (m > 0) & ~around
     if not body.all():
         base = replace(base, surroundings=~body)

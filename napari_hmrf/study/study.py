@@ -10,7 +10,7 @@ import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
 from contextlib import contextmanager
-from dataclasses import InitVar, dataclass, field, replace
+from dataclasses import KW_ONLY, InitVar, dataclass, field, replace
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -329,6 +329,11 @@ class Tissue:
             rows = (default_material(0, rows), *rows)
         return cls(labels=labels, materials=rows, unit=unit)
 
+    @property
+    def stiffness_unit(self) -> str:
+        """Unit of stiffness and stress: that of the tissue or of its curve; "" if relative."""
+        return self.unit or ("" if self.curve is None else self.curve.unit)
+
     def __post_init__(self) -> None:
         _check_arrays(self, "labels", "stiffness")
         _take_whole_labels(self)
@@ -413,6 +418,7 @@ class Motion:
     hold_edge: bool = False
     labels: Array | None = None
     rules: tuple[BoundaryRule, ...] = ()
+    _: KW_ONLY
     observed: Array | None = None
     confidence: Array | None = None
     drawing: Drawing = field(default_factory=Drawing)

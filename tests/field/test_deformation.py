@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from napari_hmrf import ProblemError
 from napari_hmrf.data import phantom, reference_displacement
 from napari_hmrf.field.strain import fold_mask
 from napari_hmrf.fields import (
@@ -11,6 +12,7 @@ from napari_hmrf.fields import (
     deformation_grid,
     jacobian_determinant,
     magnitude,
+    rmsd,
 )
 
 
@@ -207,3 +209,18 @@ def test_a_grid_wider_than_the_image_has_one_line_along_each_axis():
     np.testing.assert_array_equal(
         far, deformation_grid(displacement, spacing=1, every=100, pieces=1)
     )
+
+
+def test_rmsd_is_the_root_mean_square_length_of_the_difference_in_tissue():
+    reference = np.zeros((2, 3, 2))
+    found = reference + np.array([3.0, 4.0])
+    found[0] = np.nan
+    tissue = np.array([[0, 0, 0], [1, 1, 0]], bool)
+    found[1, 1] = 0
+    assert rmsd(found, reference, tissue) == pytest.approx(5 / np.sqrt(2))
+    with pytest.raises(ProblemError) as refusal:
+        rmsd(found, reference[:1])
+    assert refusal.value.field == "reference"
+    with pytest.raises(ProblemError) as refusal:
+        rmsd(found, reference, ~tissue & tissue)
+    assert refusal.value.field == "tissue"

@@ -38,7 +38,7 @@ def bar(prior, far=0.1, *, shape=(10, 40), loads=None, optimizer=TIGHT):
     c[(*corner[:-1], -1, slice(-1))] = 1
     if len(shape) == 3:
         c[-1, 0, 0, 1] = 1
-    problem = Problem(y, c, np.ones(shape), loads=loads)
+    problem = Problem(observed=y, confidence=c, stiffness=np.ones(shape), loads=loads)
     return solve(problem, prior, optimizer=optimizer, backend="cpu")
 
 
@@ -56,7 +56,9 @@ def free_disc(prior, amount=0.15, shape=(24, 24), tensor=None):
     grown = (
         growth(amount * disc) if tensor is None else Loads(growth=disc[..., None, None] * tensor)
     )
-    problem = Problem(np.zeros_like(c), c, disc.astype(float), loads=grown)
+    problem = Problem(
+        observed=np.zeros_like(c), confidence=c, stiffness=disc.astype(float), loads=grown
+    )
     return solve(problem, prior, optimizer=TIGHT, backend="cpu")
 
 
@@ -169,7 +171,12 @@ def bar_that_grows(tensor):
     shape = tensor.shape[:2]
     c = np.zeros((*shape, 2))
     c[:, 0, 1], c[0, 0, 0] = 1, 1
-    problem = Problem(np.zeros_like(c), c, np.ones(shape), loads=Loads(growth=tensor))
+    problem = Problem(
+        observed=np.zeros_like(c),
+        confidence=c,
+        stiffness=np.ones(shape),
+        loads=Loads(growth=tensor),
+    )
     return solve(problem, ElasticPrior(NU), optimizer=TIGHT, backend="cpu")
 
 
@@ -207,7 +214,9 @@ def test_rigid_tissue_has_no_strain(tmp_path):
     y[:, -1, 1], c[:, [0, -1]] = 2, 1
     stiffness = np.ones((24, 24))
     stiffness[8:16, 8:16] = np.inf
-    solution = solve(Problem(y, c, stiffness), optimizer=TIGHT, backend="cpu")
+    solution = solve(
+        Problem(observed=y, confidence=c, stiffness=stiffness), optimizer=TIGHT, backend="cpu"
+    )
     soft, bone = solution.measure(np.isinf(stiffness))
     assert (bone.mean_strain, bone.largest_strain) == (0, 0)
     assert soft.mean_strain > 5

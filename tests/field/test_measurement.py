@@ -36,7 +36,10 @@ def stretched_tissue():
     y, c = np.zeros((2, *SHAPE, 2))
     y[..., 1] = 0.1 * 0.5 * np.arange(40)
     c[[0, -1]] = c[:, [0, -1]] = 1
-    return solve(Problem(y, c, np.ones(SHAPE), spacing=(0.5, 0.5)), backend="cpu")
+    return solve(
+        Problem(observed=y, confidence=c, stiffness=np.ones(SHAPE), spacing=(0.5, 0.5)),
+        backend="cpu",
+    )
 
 
 def test_stretching_tissue_by_a_tenth_increases_its_area_by_a_tenth():
@@ -133,7 +136,8 @@ def test_the_measure_command_prints_and_writes_the_table(solved, tmp_path, capsy
     named = [each.removesuffix("_percent").replace("elastic_", "") for each in titles]
     without_error_bars = found[0]._fields[: found[0]._fields.index("strain")]
     of_image = [name.replace("size", "area") for name in without_error_bars]
-    assert named == [*of_image, "unit"]
+    of_stress = ["mean_von_mises_stress", "largest_von_mises_stress", "mean_pressure"]
+    assert named == [*of_image, *of_stress, "unit"]
     per_cent = [each.removesuffix("_percent") for each in titles if each.endswith("_percent")]
     assert per_cent == ["area_change", "mean_elastic_strain", "largest_elastic_strain"]
     assert [line.split(",")[1] for line in lines[1:]] == ["skin", "lump"]

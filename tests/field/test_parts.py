@@ -127,7 +127,9 @@ def slipped():
     parts, moved = halves((48, 64))
     rows = np.indices(parts.shape)[0]
     sure = np.repeat(((rows < 6) | (rows > 41))[..., None], 2, axis=-1).astype(float)
-    problem = Problem(moved, sure, np.ones(parts.shape), sliding=SlidingParts(parts))
+    problem = Problem(
+        observed=moved, confidence=sure, stiffness=np.ones(parts.shape), sliding=SlidingParts(parts)
+    )
     return solve(problem, backend="cpu")
 
 

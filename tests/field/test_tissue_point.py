@@ -22,7 +22,10 @@ def solution():
     c[4:26, 5] = c[4:26, 32] = 1
     y[4:26, 32] = (1, 6)
     return solve(
-        Problem(y, c, m, spacing=(1.0, 2.0)), SeilerPrior(), optimizer=ICM(60), backend="cpu"
+        Problem(observed=y, confidence=c, stiffness=m, spacing=(1.0, 2.0)),
+        SeilerPrior(),
+        optimizer=ICM(60),
+        backend="cpu",
     )
 
 

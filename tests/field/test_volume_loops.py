@@ -184,7 +184,7 @@ class CompilingMultigrid(Multigrid):
 def test_compilation_during_a_solve_is_reported():
     c = np.zeros((6, 6, 6, 3))
     c[0] = c[-1] = 1
-    problem, told = Problem(c, c, np.ones(c.shape[:3])), []
+    problem, told = Problem(observed=c, confidence=c, stiffness=np.ones(c.shape[:3])), []
     solve(problem, ElasticPrior(), optimizer=Multigrid(), backend="cpu")
     how = {"backend": "cpu", "progress": lambda monitor: told.append(monitor.message)}
     solve(problem, ElasticPrior(), optimizer=CompilingMultigrid(), **how)

@@ -157,7 +157,10 @@ def test_the_shell_and_python_give_the_same_field(files, capsys):
     spacing = PLACE.spacing[1:]
     y, c = boundary_images(rim, read_rules(folder / "r.csv"), spacing=spacing)
     problem = Problem(
-        y, c, stiffness_image(labels, read_materials(folder / "m.csv")), spacing=spacing
+        observed=y,
+        confidence=c,
+        stiffness=stiffness_image(labels, read_materials(folder / "m.csv")),
+        spacing=spacing,
     )
     expected = solve(problem, study.prior.__class__(0.49), backend="cpu")
     np.testing.assert_allclose(solution.displacement, expected.displacement, atol=1e-5)

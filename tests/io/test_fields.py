@@ -126,7 +126,10 @@ def test_the_field_of_a_slice_lies_at_the_place_of_its_image_in_the_volume(tmp_p
     y, c = np.zeros((2, 20, 24, 2))
     c[0] = c[-1] = 1
     y[-1, :, 1] = 0.1
-    solution = solve(Problem(y, c, np.ones((20, 24)), spacing=frame.spacing), backend="cpu")
+    solution = solve(
+        Problem(observed=y, confidence=c, stiffness=np.ones((20, 24)), spacing=frame.spacing),
+        backend="cpu",
+    )
     path = tmp_path / "field.mha"
     export_field(path, replace(solution, frame=frame.as_dict()), forward=True)
     field = read_field(path, forward=True)

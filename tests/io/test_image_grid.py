@@ -176,7 +176,12 @@ def test_a_field_without_a_place_is_exported_only_on_request(tmp_path):
     export_field(path, solution, placed=False)
     assert sitk.ReadImage(str(path)).GetOrigin() == (0, 0, 0)
     # A solution of a Problem has the place of the given grid.
-    problem = Problem(np.zeros((*SHAPE, 3)), np.ones((*SHAPE, 3)), np.ones(SHAPE), spacing=SPACING)
+    problem = Problem(
+        observed=np.zeros((*SHAPE, 3)),
+        confidence=np.ones((*SHAPE, 3)),
+        stiffness=np.ones(SHAPE),
+        spacing=SPACING,
+    )
     of_problem = solve(problem, backend="cpu")
     export_field(path, of_problem, grid=Grid.from_image(scan()))
     np.testing.assert_allclose(sitk.ReadImage(str(path)).GetOrigin(), ORIGIN)

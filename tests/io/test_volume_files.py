@@ -71,7 +71,7 @@ def solution():
     y, c = np.zeros((2, *SHAPE, 3))
     c[(rows < 5) | (rows > 14)] = 1
     y[rows > 14] = (1.5, 2.0, -0.6)
-    problem = Problem(y, c, tissue.astype(float), spacing=SIZE)
+    problem = Problem(observed=y, confidence=c, stiffness=tissue.astype(float), spacing=SIZE)
     found = solve(problem, backend="cpu")
     return replace(found, frame=PLACE.frame(volume=True).as_dict())
 

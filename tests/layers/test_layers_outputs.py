@@ -1,5 +1,6 @@
 """Tests of the layers made from a solution."""
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -211,8 +212,9 @@ def test_arrows_store_the_solution_with_its_frame():
 
 
 def test_folds_are_counted():
-    folded = solution((0.0, 0.0))
-    folded.displacement[:, 20] = (0, 5)
+    field = np.zeros((*SHAPE, 2), np.float32)
+    field[:, 20] = (0, 5)
+    folded = replace(solution((0.0, 0.0)), displacement=field)
     outputs = result_layers(folded)
     assert outputs.folds > 0
     layer = layers_of(outputs, ["folds"])["folds"]
@@ -222,14 +224,15 @@ def test_folds_are_counted():
 
 
 def test_a_scale_of_strain_is_capped_and_folds_are_named():
-    stretched, columns = solution((0.0, 0.0)), np.minimum(np.arange(SHAPE[1]), 20)
-    stretched.displacement[..., 1] = 2 * columns  # 3 times as wide: a strain of 400 %
+    field, columns = np.zeros((*SHAPE, 2), np.float32), np.minimum(np.arange(SHAPE[1]), 20)
+    field[..., 1] = 2 * columns  # 3 times as wide: a strain of 400 %
+    stretched = replace(solution((0.0, 0.0)), displacement=field)
     answer = result_of(Layer.create(*result_layers(stretched).layers["arrows"]))
     overlay = overlay_of(answer, "stretch")
     assert overlay.limits == (-100, 100)
     assert overlay.beyond == "Colours end at 100 (values to 400)"
     assert "folded" not in overlay.layer.attributes["name"]
-    stretched.displacement[:, 2, 1] -= 5
+    field[:, 2, 1] -= 5  # the array of which the solution has a read-only view
     folded = overlay_of(answer, "stretch")
     assert "(%; blue: folded)" in folded.layer.attributes["name"]
     assert (folded.layer.data == np.inf).any()
@@ -239,7 +242,9 @@ def test_a_scale_of_strain_is_capped_and_folds_are_named():
 def test_overlapping_pieces_without_folds_are_counted():
     two = solution((0.0, 0.0))
     two.tissue[:, 14:16] = False
-    two.displacement[:, :14] = (0, 6)
+    field = two.displacement.copy()
+    field[:, :14] = (0, 6)
+    two = replace(two, displacement=field)
     outputs = result_layers(two, pictures=Pictures())
     assert outputs.folds == 0
     assert outputs.overlaps == 30 * 4  # Sites up to column 13 + 6 cover sites from column 16.
@@ -273,7 +278,7 @@ def test_the_inputs_of_a_problem_are_shown_as_layers():
     c[0], c[-1] = 1, (0.5, 0.25)
     y[-1] = (0, 3)
     m[:, 12:] = 20
-    problem = Problem(y, c, m, spacing=(1.0, 2.0))
+    problem = Problem(observed=y, confidence=c, stiffness=m, spacing=(1.0, 2.0))
     solved = solve(problem)
     outputs = result_layers(solved, problem=problem)
     layers = layers_of(outputs, ("stiffness", "observed", "confidence"))

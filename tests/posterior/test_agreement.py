@@ -21,7 +21,7 @@ def tissue(moved, held, points=POINTS, sd=SD):
     c = np.zeros((*SHAPE, 2))
     c[0] = held
     marks = Landmarks(points, points + moved, sd=sd, scale=SCALE)
-    return Problem(0 * c, c, np.ones(SHAPE), landmarks=marks)
+    return Problem(observed=0 * c, confidence=c, stiffness=np.ones(SHAPE), landmarks=marks)
 
 
 def drawn(held, count, seed=0):
@@ -97,7 +97,7 @@ def test_landmarks_that_only_determine_a_rigid_motion_are_refused():
     c = np.zeros((*SHAPE, 2))
     c[0, 0] = 1
     marks = Landmarks([(6, 6)], [(6, 7)], sd=SD, scale=SCALE)
-    problem = Problem(0 * c, c, np.ones(SHAPE), landmarks=marks)
+    problem = Problem(observed=0 * c, confidence=c, stiffness=np.ones(SHAPE), landmarks=marks)
     assert check_agreement(problem, backend="cpu").freedom == 1
     with pytest.raises(ProblemError, match="free"):
         check_agreement(tissue(0.5, False, np.array([(2.0, 2.0)])), backend="cpu")

@@ -22,7 +22,7 @@ def held_block(shape=(8, 7), spacing=(1.0, 1.0), moved=0.0):
     y[-1] = moved
     m = 5 ** np.random.default_rng(0).random(shape)
     m[3:5, :2] = 0
-    return Problem(y, c, m, spacing=spacing)
+    return Problem(observed=y, confidence=c, stiffness=m, spacing=spacing)
 
 
 def matrix(problem):
@@ -78,7 +78,7 @@ def test_the_strains_of_neighbouring_patches_differ_by_the_typical_strain():
     shape = (28, 28)
     c = np.zeros((*shape, 2))
     c[:2] = 1
-    problem = Problem(0 * c, c, np.ones(shape))
+    problem = Problem(observed=0 * c, confidence=c, stiffness=np.ones(shape))
     drawn = np.stack(list(sample_posterior(problem, BLANKET, n=40, backend="cpu")))
     for size in (3, 8):
         along = (drawn[:, size:] - drawn[:, :-size]) / size
@@ -96,19 +96,26 @@ def test_a_sample_depends_on_its_seed_and_number_only():
 
 def doubted():
     problem = held_block()
-    return Problem(problem.observed, 0.5 * problem.confidence, problem.stiffness)
+    return Problem(
+        observed=problem.observed, confidence=0.5 * problem.confidence, stiffness=problem.stiffness
+    )
 
 
 def with_landmarks():
     problem = held_block()
     marks = Landmarks([(5, 5)], [(5, 6)], sd=0.1)
-    return Problem(problem.observed, problem.confidence, problem.stiffness, landmarks=marks)
+    return Problem(
+        observed=problem.observed,
+        confidence=problem.confidence,
+        stiffness=problem.stiffness,
+        landmarks=marks,
+    )
 
 
 def loose():
     c = np.zeros((8, 8, 2))
     c[0] = 1  # the tissue can still be stretched
-    return Problem(0 * c, c, np.ones((8, 8)))
+    return Problem(observed=0 * c, confidence=c, stiffness=np.ones((8, 8)))
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ def test_landmarks_in_much_softer_tissue_have_the_dense_covariance():
     c[0] = 1
     points = np.array([(2.0, 3.0), (14.0, 3.5), (9.0, 9.0), (8.2, 9.5), (0.0, 5.0)])
     marks = Landmarks(points, points, sd=0.2, scale=SCALE)
-    problem = Problem(0 * c, c, m, landmarks=marks)
+    problem = Problem(observed=0 * c, confidence=c, stiffness=m, landmarks=marks)
     energy = energy_of(problem, None)
     space = data_space(problem, checked_prior(problem, None), energy, "cpu", None, None)
     found = space.basis @ np.diag(energy * space.variance) @ space.basis.T
@@ -37,7 +37,9 @@ def test_landmarks_in_much_softer_tissue_have_the_dense_covariance():
 def test_too_many_observations_are_refused():
     c = np.zeros((40, 40, 2))
     c[0] = 1
-    problem = Problem(0 * c, c, np.ones((40, 40)), precision=np.ones((40, 40)))
+    problem = Problem(
+        observed=0 * c, confidence=c, stiffness=np.ones((40, 40)), precision=np.ones((40, 40))
+    )
     with pytest.raises(ProblemError, match="3,200 components") as refused:
         check_agreement(problem, scale=SCALE, backend="cpu")
     assert refused.value.field == "precision"

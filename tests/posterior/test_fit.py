@@ -24,7 +24,7 @@ def stretched(stiffness, loads=None):
     held, moved = np.zeros((2, SIZE, SIZE, 2))
     held[[0, -1]] = 1
     moved[-1] = (3, 1)
-    return Problem(moved, held, stiffness, loads=loads)
+    return Problem(observed=moved, confidence=held, stiffness=stiffness, loads=loads)
 
 
 def stiffness_of(values):
@@ -84,8 +84,10 @@ def test_the_size_of_the_weight_makes_the_stiffness_absolute():
     held[-1] = 1
     m = np.full((SIZE, SIZE), 2.0)
     loads = weight(m, (0.02, 0), spacing=1)
-    seen, sd = noisy(solve(Problem(0 * held, held, m, loads=loads)).displacement)
-    guess = Problem(0 * held, held, np.ones_like(m), loads=loads)
+    seen, sd = noisy(
+        solve(Problem(observed=0 * held, confidence=held, stiffness=m, loads=loads)).displacement
+    )
+    guess = Problem(observed=0 * held, confidence=held, stiffness=np.ones_like(m), loads=loads)
     whole = np.ones((SIZE, SIZE), int)
     found = fit(guess, whole, measured=seen, sd=sd, stiffness=[1])
     assert found.stiffness[1].value == pytest.approx(2, rel=0.02)

@@ -43,13 +43,15 @@ def tissue(prior=None, stiffness=STIFFNESS):
     held = np.zeros((*LABELS.shape, 2))
     held[[0, -1]] = held[:, [0, -1]] = 1
     m = np.where(LABELS == 3, stiffness, 1.0)
-    true = Problem(0 * held, held, m, loads=growth(GROWTH * (LABELS == 2)))
+    true = Problem(
+        observed=0 * held, confidence=held, stiffness=m, loads=growth(GROWTH * (LABELS == 2))
+    )
     after = solve(true, prior).warp(IMAGE).astype(float)
     # Another contrast and a bias.
     after = 255 * (np.clip(after, 0, None) / 255) ** 1.3 * np.linspace(0.8, 1.2, SIZE)
     rng = np.random.default_rng(1)
     pair = [each + rng.normal(0, NOISE, each.shape) for each in (IMAGE, after)]
-    return Problem(0 * held, held, np.ones_like(m)), m, pair
+    return Problem(observed=0 * held, confidence=held, stiffness=np.ones_like(m)), m, pair
 
 
 def test_growth_and_stiffness_follow_from_two_images_of_another_brightness():
@@ -80,7 +82,7 @@ def test_growth_of_a_ball_follows_from_two_volumes():
     held[[0, -1]] = held[:, [0, -1]] = held[:, :, [0, -1]] = 1
     distance = np.linalg.norm(np.indices(shape).T - np.array(shape) / 2, axis=-1).T
     labels = 1 + (distance < 6)
-    guess = Problem(0 * held, held, np.ones(shape))
+    guess = Problem(observed=0 * held, confidence=held, stiffness=np.ones(shape))
     true = replace(guess, loads=growth(0.4 * (labels == 2)))
     after = solve(true).warp(image)
     found = fit(guess, labels, images=(image, after), growth=[2])

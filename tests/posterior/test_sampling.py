@@ -29,7 +29,9 @@ def held_block(shape=(9, 8), spacing=None, seed=0, **more):
     c[0] = 1
     m = 100 ** rng.random(shape)
     m[(slice(2, 4),) * axes] = 0
-    return Problem(0 * c, c, m, spacing=spacing or (1.0,) * axes, **more)
+    return Problem(
+        observed=0 * c, confidence=c, stiffness=m, spacing=spacing or (1.0,) * axes, **more
+    )
 
 
 def with_tensors(problem, sd=0.3, share=0.2):
@@ -41,9 +43,9 @@ def with_tensors(problem, sd=0.3, share=0.2):
     )
     energy = SCALE.energy(problem.stiffness, problem.spacing)
     return Problem(
-        problem.observed,
-        problem.confidence,
-        problem.stiffness,
+        observed=problem.observed,
+        confidence=problem.confidence,
+        stiffness=problem.stiffness,
         spacing=problem.spacing,
         precision=tensors * energy / sd**2,
     )
@@ -55,14 +57,16 @@ def with_landmarks(shape=(8, 9)):
     none = np.zeros((*shape, len(shape)))
     points = rng.random((5, len(shape))) * (np.array(shape) - 1)
     marks = Landmarks(points, points + 0.5, sd=[0.2, 0.5, 1.0, 0.3, 0.4], scale=SCALE)
-    return Problem(none, none, 10 ** rng.random(shape), landmarks=marks)
+    return Problem(
+        observed=none, confidence=none, stiffness=10 ** rng.random(shape), landmarks=marks
+    )
 
 
 def with_bone():
     problem = held_block()
     m = problem.stiffness.copy()
     m[5:7, 3:6] = np.inf
-    return Problem(problem.observed, problem.confidence, m)
+    return Problem(observed=problem.observed, confidence=problem.confidence, stiffness=m)
 
 
 @pytest.mark.parametrize(
@@ -97,11 +101,18 @@ def test_the_noise_of_an_element_has_the_covariance_of_its_matrix():
     m = np.full((2, 2, 400, 3), 2.0)
     m[..., 2] = 0
     c = np.ones((2, 2, 1200, 3))
-    problem = Problem(0 * c, c, m.reshape(2, 2, 1200), spacing=spacing)
+    problem = Problem(
+        observed=0 * c, confidence=c, stiffness=m.reshape(2, 2, 1200), spacing=spacing
+    )
     noise = PosteriorNoise(problem, prior, energy=3.0)
     draws = np.stack([noise.force(0, number) for number in range(10)]).reshape(10, 2, 2, 400, 3, 3)
     forces = np.moveaxis(draws[..., :2, :], 3, 1).reshape(4000, 24)
-    one = Problem(0 * c[:, :, :2], c[:, :, :2], np.full((2, 2, 2), 2.0), spacing=spacing)
+    one = Problem(
+        observed=0 * c[:, :, :2],
+        confidence=c[:, :, :2],
+        stiffness=np.full((2, 2, 2), 2.0),
+        spacing=spacing,
+    )
     expected = 3.0 * elastic_matrix(one, prior).toarray()
     error = np.cov(forces.T) - expected
     assert np.abs(error).max() < 0.1 * np.abs(expected).max()
@@ -156,9 +167,9 @@ def test_empty_space_around_the_tissue_of_a_volume_changes_no_sample():
         scale = StrainScale(0.1, extent=2.0)
         marks = Landmarks(points + origin, points + origin + 1, sd=0.2, scale=scale)
         problem = Problem(
-            np.pad(bare.observed, vector),
-            np.pad(bare.confidence, vector),
-            np.pad(bare.stiffness, margins),
+            observed=np.pad(bare.observed, vector),
+            confidence=np.pad(bare.confidence, vector),
+            stiffness=np.pad(bare.stiffness, margins),
             precision=np.pad(precision, vector),
             landmarks=marks,
         )
@@ -177,7 +188,7 @@ def test_samples_of_nearly_incompressible_tissue_are_as_long_as_exact_ones():
     size = 28
     c = np.zeros((size,) * 3 + (3,))
     c[0] = 1
-    problem = Problem(0 * c, c, np.ones((size,) * 3))
+    problem = Problem(observed=0 * c, confidence=c, stiffness=np.ones((size,) * 3))
     prior = checked_prior(problem, ElasticPrior(0.49))
     response, noise = Response(problem, prior, "cpu"), PosteriorNoise(problem, prior, 1.0)
     force = noise.force(0, 1)
@@ -189,7 +200,9 @@ def test_samples_of_nearly_incompressible_tissue_are_as_long_as_exact_ones():
 
 def test_samples_do_not_depend_on_the_unit_of_stiffness():
     problem = held_block()
-    pascal = Problem(problem.observed, problem.confidence, 1000 * problem.stiffness)
+    pascal = Problem(
+        observed=problem.observed, confidence=problem.confidence, stiffness=1000 * problem.stiffness
+    )
     (one,) = sample_posterior(problem, n=1, backend="cpu")
     (other,) = sample_posterior(pascal, n=1, backend="cpu")
     np.testing.assert_allclose(one, other, atol=1e-3 * np.abs(one).max())
@@ -204,7 +217,9 @@ def test_deviations_are_proportional_to_the_typical_strain():
 def test_growth_moves_the_mean_and_not_the_deviations():
     bare = held_block()
     loads = growth(0.1 * bare.tissue)
-    grown = Problem(bare.observed, bare.confidence, bare.stiffness, loads=loads)
+    grown = Problem(
+        observed=bare.observed, confidence=bare.confidence, stiffness=bare.stiffness, loads=loads
+    )
     (still,) = sample_posterior(bare, n=1, backend="cpu")
     (moved,) = sample_posterior(grown, n=1, backend="cpu")
     field = solve(grown, backend="cpu").displacement
@@ -213,14 +228,21 @@ def test_growth_moves_the_mean_and_not_the_deviations():
 
 def doubted():
     problem = held_block()
-    return Problem(problem.observed, 0.5 * problem.confidence, problem.stiffness)
+    return Problem(
+        observed=problem.observed, confidence=0.5 * problem.confidence, stiffness=problem.stiffness
+    )
 
 
 def drifting():
     problem = with_landmarks()
     marks = problem.landmarks
     drift = Landmarks(marks.points, marks.targets, sd=marks.sd, drift=True)
-    return Problem(problem.observed, problem.confidence, problem.stiffness, landmarks=drift)
+    return Problem(
+        observed=problem.observed,
+        confidence=problem.confidence,
+        stiffness=problem.stiffness,
+        landmarks=drift,
+    )
 
 
 @pytest.mark.parametrize(
@@ -244,7 +266,7 @@ def test_loose_tissue_is_refused():
     c = np.zeros((*shape, 2))
     c[0, 0] = 1
     with pytest.raises(ProblemError, match="free"):
-        sample_posterior(Problem(0 * c, c, np.ones(shape)), n=1)
+        sample_posterior(Problem(observed=0 * c, confidence=c, stiffness=np.ones(shape)), n=1)
 
 
 def test_landmarks_with_another_scale_are_refused():

@@ -29,7 +29,7 @@ def observed(is_held, shape=(9, 8), spacing=(1.0, 2.0), n=10, strain=0.5, sd=0.1
     points[1::2] += 0.1
     sds = sd * (1 + rng.random(n))
     marks = Landmarks(points, points, sd=sds, scale=SCALE)
-    problem = Problem(y, c, m, spacing=spacing, landmarks=marks)
+    problem = Problem(observed=y, confidence=c, stiffness=m, spacing=spacing, landmarks=marks)
     rows = interpolation(points, shape)
     ways, covariance = data_covariance(problem, ElasticPrior(), StrainScale(strain), rows.toarray())
     moved = ways @ np.linalg.cholesky(covariance) @ rng.normal(size=len(covariance))
@@ -39,12 +39,17 @@ def observed(is_held, shape=(9, 8), spacing=(1.0, 2.0), n=10, strain=0.5, sd=0.1
         moved += rows @ turned(shape, spacing).ravel()
     moved = moved.reshape(n, axes) + sds[:, None] * rng.normal(size=(n, axes))
     marks = Landmarks(points, points + moved / spacing, sd=sds, scale=SCALE)
-    return Problem(y, c, m, spacing=spacing, landmarks=marks)
+    return Problem(observed=y, confidence=c, stiffness=m, spacing=spacing, landmarks=marks)
 
 
 def at_rest(problem):
     """Return the motion that held tissue causes without landmarks."""
-    bare = Problem(problem.observed, problem.confidence, problem.stiffness, spacing=problem.spacing)
+    bare = Problem(
+        observed=problem.observed,
+        confidence=problem.confidence,
+        stiffness=problem.stiffness,
+        spacing=problem.spacing,
+    )
     return solve(bare, backend="cpu").displacement.astype(float)
 
 
@@ -112,13 +117,13 @@ def test_a_precision_gives_the_same_scale_as_landmarks_at_its_sites():
     sites = np.array([(2, 1), (2, 5), (4, 3), (5, 6), (6, 1), (7, 4), (8, 7), (8, 2)])
     moves = at_rest(base)[tuple(sites.T)] + np.random.default_rng(0).normal(0, 0.5, sites.shape)
     marks = Landmarks(sites, sites + moves / base.spacing, sd=0.2, scale=SCALE)
-    given = base.confidence, base.stiffness
-    of_marks = Problem(base.observed, *given, spacing=base.spacing, landmarks=marks)
+    given = {"confidence": base.confidence, "stiffness": base.stiffness}
+    of_marks = Problem(observed=base.observed, **given, spacing=base.spacing, landmarks=marks)
     y = base.observed.copy()
     y[tuple(sites.T)] = moves
     precision = np.zeros(base.shape)
     precision[tuple(sites.T)] = SCALE.energy(base.stiffness, base.spacing) / 0.2**2
-    of_sites = Problem(y, *given, spacing=base.spacing, precision=precision)
+    of_sites = Problem(observed=y, **given, spacing=base.spacing, precision=precision)
     one = fit_scale(of_marks, backend="cpu")
     other = fit_scale(of_sites, scale=SCALE, backend="cpu")
     assert other.scale.strain == pytest.approx(one.scale.strain, rel=1e-3)
@@ -132,8 +137,8 @@ def test_tissue_whose_landmarks_move_as_a_rigid_body_is_not_strained():
     moved = interpolation(marks.points, base.shape) @ turned(base.shape, base.spacing).ravel()
     targets = marks.points + moved.reshape(-1, 2) / base.spacing
     marks = Landmarks(marks.points, targets, sd=marks.sd, scale=SCALE)
-    still = base.observed, base.confidence
-    problem = Problem(*still, base.stiffness, spacing=base.spacing, landmarks=marks)
+    still = {"observed": base.observed, "confidence": base.confidence}
+    problem = Problem(**still, stiffness=base.stiffness, spacing=base.spacing, landmarks=marks)
     with pytest.raises(ProblemError, match="errors of the observations explain") as refused:
         fit_scale(problem, backend="cpu")
     assert refused.value.field == "scale"
@@ -144,12 +149,14 @@ def with_marks(points, held=True, targets=None):
     c[:2] = held
     points = np.array(points, float)
     marks = Landmarks(points, points + 0.3 if targets is None else targets, sd=0.1, scale=SCALE)
-    return Problem(0 * c, c, np.ones((9, 8)), landmarks=marks)
+    return Problem(observed=0 * c, confidence=c, stiffness=np.ones((9, 8)), landmarks=marks)
 
 
 def without_data():
     problem = with_marks([(4, 4)])
-    return Problem(problem.observed, problem.confidence, problem.stiffness)
+    return Problem(
+        observed=problem.observed, confidence=problem.confidence, stiffness=problem.stiffness
+    )
 
 
 @pytest.mark.parametrize(
@@ -169,7 +176,12 @@ def test_observations_that_do_not_determine_a_scale_are_refused(problem, reason)
 
 def test_errors_that_strain_can_explain_are_refused_as_noise():
     base = with_marks([(3, 3), (5, 5), (7, 2), (8, 6)])
-    tilted = Problem(base.observed, base.confidence, base.stiffness, landmarks=base.landmarks)
+    tilted = Problem(
+        observed=base.observed,
+        confidence=base.confidence,
+        stiffness=base.stiffness,
+        landmarks=base.landmarks,
+    )
     with pytest.raises(ProblemError, match="strain explains all") as refused:
         fit_scale(tilted, noise=True, backend="cpu")
     assert refused.value.field == "noise"

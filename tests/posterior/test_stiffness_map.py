@@ -19,7 +19,7 @@ def squeezed(stiffness, **more):
     held = np.zeros((*stiffness.shape, stiffness.ndim))
     moved = np.zeros_like(held)
     held[[0, -1]], moved[-1, ..., 0] = 1, -2
-    return Problem(moved, held, stiffness, **more)
+    return Problem(observed=moved, confidence=held, stiffness=stiffness, **more)
 
 
 def noisy(displacement, share):

@@ -32,7 +32,9 @@ SCALE = StrainScale(0.1)
 def held_left(size=20, marks=None, m=1.0):
     c = np.zeros((size, size, 2))
     c[:, 0] = 1
-    return Problem(0 * c, c, np.full((size, size), m), landmarks=marks)
+    return Problem(
+        observed=0 * c, confidence=c, stiffness=np.full((size, size), m), landmarks=marks
+    )
 
 
 def test_the_covariance_of_the_mean_of_a_label_is_that_of_the_posterior():
@@ -60,7 +62,9 @@ def test_the_error_bar_of_a_growing_tumour_is_that_of_its_outward_motion():
     labels[4:8, 4:8] = 2
     c = np.zeros((12, 12, 2))
     c[[0, -1]] = c[:, [0, -1]] = 1
-    problem = Problem(0 * c, c, np.ones((12, 12)), loads=growth(0.3 * (labels == 2)))
+    problem = Problem(
+        observed=0 * c, confidence=c, stiffness=np.ones((12, 12)), loads=growth(0.3 * (labels == 2))
+    )
     result = uncertainty(problem, n=0, labels=labels, backend="cpu")
     d, tumour = result.solution.displacement, labels == 2
     (row,) = result.solution.measure(2 * tumour, uncertainty=result)[1:]
@@ -82,7 +86,7 @@ def test_error_bars_of_other_labels_or_of_another_solution_are_refused():
     c, move = problem.confidence, np.zeros((10, 10, 2))
     move[..., 1] = 3.0
     result = uncertainty(problem, n=0, labels=labels, backend="cpu")
-    other = solve(Problem(move, c, np.ones((10, 10))), backend="cpu")
+    other = solve(Problem(observed=move, confidence=c, stiffness=np.ones((10, 10))), backend="cpu")
     with pytest.raises(ProblemError, match="another mean displacement of the label 1"):
         other.measure(labels, uncertainty=result)
     with pytest.raises(ProblemError, match="has none of these labels"):
@@ -146,7 +150,9 @@ def test_the_error_bar_of_a_length_is_along_the_motion():
     c = np.zeros((*shape, 2))
     c[:, 0] = c[:, -1] = 1
     move[:, -1, 1] = 2
-    result = uncertainty(Problem(move, c, np.ones(shape)), n=20, patch=1, backend="cpu")
+    result = uncertainty(
+        Problem(observed=move, confidence=c, stiffness=np.ones(shape)), n=20, patch=1, backend="cpu"
+    )
     assert result.along[8, 8] == pytest.approx(result.sd[8, 8, 1], rel=0.02)
 
 
@@ -155,7 +161,9 @@ def test_void_has_no_uncertainty_and_does_not_count_in_patches():
     c[:, 0] = 1
     m = np.ones((12, 12))
     m[:, 8:] = 0
-    result = uncertainty(Problem(0 * c, c, m), n=10, patch=5, backend="cpu")
+    result = uncertainty(
+        Problem(observed=0 * c, confidence=c, stiffness=m), n=10, patch=5, backend="cpu"
+    )
     assert not result.sd[:, 8:].any()
     assert result.sd[5, 7].min() > 0.5 * result.sd[5, 6].min()
 
@@ -165,7 +173,9 @@ def test_a_voxel_is_less_sure_on_a_finer_grid_and_a_patch_is_not():
     for voxels, step in ((6, 3.0), (16, 1.0)):
         c = np.zeros((voxels,) * 3 + (3,))
         c[0] = 1
-        problem = Problem(0 * c, c, np.ones((voxels,) * 3), spacing=(step,) * 3)
+        problem = Problem(
+            observed=0 * c, confidence=c, stiffness=np.ones((voxels,) * 3), spacing=(step,) * 3
+        )
         scale = StrainScale(0.1, extent=3)
         for patch in ("voxel", 9.0):
             side = step if patch == "voxel" else patch
@@ -249,7 +259,7 @@ def test_the_solution_of_a_volume_is_that_of_a_solve_on_its_whole_grid():
     c[2, 1:7, 3:8] = 1
     strain = np.zeros(shape)
     strain[5:7, 3:5, 5:7] = 0.2
-    problem = Problem(0 * c, c, tissue, loads=growth(strain))
+    problem = Problem(observed=0 * c, confidence=c, stiffness=tissue, loads=growth(strain))
     found, whole = uncertainty(problem, n=2, backend="cpu"), solve(problem, backend="cpu")
     solution = found.solution
     np.testing.assert_allclose(solution.displacement, whole.displacement, atol=2e-3)

@@ -46,6 +46,18 @@ def test_a_stiff_disc_is_hardly_strained_and_moves_half_of_the_distance(run_exam
 
 
 @campaign
+def test_stress_beside_a_hole_is_right_away_from_the_staircase(run_example):
+    rows = [
+        [float(value) for value in re.findall(r"[\d.]+", line)]
+        for line in run_example("stress_at_a_hole").splitlines()[1:]
+    ]
+    for _, _, beside, exact, *_ in rows:
+        assert beside == pytest.approx(exact, rel=0.06)
+    assert rows[-1][1] > 3
+    assert rows[-1][4] == pytest.approx(rows[-1][5], rel=0.02)
+
+
+@campaign
 def test_a_growing_tumour_compresses_the_surrounding_tissue(run_example, tmp_path):
     text = run_example("growing_tumour")
     assert number("area of the tumour: # %", text) > 120

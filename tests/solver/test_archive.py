@@ -256,8 +256,10 @@ def test_old_temporary_files_of_killed_processes_are_removed(solution, tmp_path)
 
 
 def test_a_solution_that_could_not_be_read_is_not_written(path, solution):
-    bad = random_solution()
-    bad.displacement[0, 0] = np.nan
+    good = random_solution()
+    field = good.displacement.copy()
+    field[0, 0] = np.nan
+    bad = dataclasses.replace(good, displacement=field)
     with pytest.raises(ValueError, match=r"cannot be saved.*not numbers"):
         bad.write(path)
     with pytest.raises(TypeError, match="JSON"):

@@ -22,7 +22,7 @@ def compressed_tissue(m):
     y, c = np.zeros((*m.shape, 2)), np.zeros((*m.shape, 2))
     c[0] = c[-1] = 1
     y[-1, :, 0] = 4
-    return Problem(y, c, m)
+    return Problem(observed=y, confidence=c, stiffness=m)
 
 
 def two_phases(n, sigma, contrast, seed=0):
@@ -123,7 +123,7 @@ def test_stiff_tissue_rotates_freely_on_oblong_pixels():
     y, c = np.zeros((40, 40, 2)), np.zeros((40, 40, 2))
     c[0] = c[-1] = 1
     y[-1, :, 1] = 3
-    problem = Problem(y, c, m, spacing=(0.28, 1.0))
+    problem = Problem(observed=y, confidence=c, stiffness=m, spacing=(0.28, 1.0))
     solution = solve(problem, PRIOR, optimizer=Multigrid(), backend="cpu")
     assert np.abs(solution.displacement - direct_solution(problem, PRIOR)).max() < 1e-3
 

@@ -52,7 +52,7 @@ def random_problem(rng, grid, spacing, precision, contrast=1.0, held=True):
         c[0] = 1
     m = contrast ** rng.random(grid)
     m[(slice(6, 8),) * len(grid)] = 0
-    return Problem(y, c, m, spacing=spacing, precision=precision)
+    return Problem(observed=y, confidence=c, stiffness=m, spacing=spacing, precision=precision)
 
 
 def largest_error(solution, problem, prior):
@@ -86,23 +86,31 @@ def test_beside_data_an_observation_that_slips_is_a_constant_force():
     y, c, force = np.zeros((16, 16, 2)), np.zeros((16, 16, 2)), np.zeros((16, 16, 2))
     c[0] = 1
     m, prior = np.full((16, 16), 5.0), ElasticPrior(0.3)
-    force[8, 8, 0] = 1e-3 * prior.force_unit(Problem(y, c, m))
+    force[8, 8, 0] = 1e-3 * prior.force_unit(Problem(observed=y, confidence=c, stiffness=m))
     # Without data at this site, which would pull it to the observed position.
     data = np.full((16, 16), 0.5)
     data[8, 8] = 0
     c[8, 8, 0], y[8, 8, 0] = 1e-3, 6
-    slipping = solve(Problem(y, c, m, precision=data), prior, backend="cpu")
+    slipping = solve(
+        Problem(observed=y, confidence=c, stiffness=m, precision=data), prior, backend="cpu"
+    )
     assert 0 < slipping.displacement[8, 8, 0] < 6
     c[8, 8, 0] = y[8, 8, 0] = 0
     loads = Loads(force=force)
-    pushed = solve(Problem(y, c, m, precision=data, loads=loads), prior, backend="cpu")
+    pushed = solve(
+        Problem(observed=y, confidence=c, stiffness=m, precision=data, loads=loads),
+        prior,
+        backend="cpu",
+    )
     assert np.abs(slipping.displacement - pushed.displacement).max() < 2e-3
 
 
 def test_a_motion_that_meets_all_data_without_strain_has_no_energy():
     y = np.zeros((12, 12, 2))
     y[..., 0] = 1.5
-    problem = Problem(y, np.zeros_like(y), np.ones((12, 12)), precision=2.0)
+    problem = Problem(
+        observed=y, confidence=np.zeros_like(y), stiffness=np.ones((12, 12)), precision=2.0
+    )
     solution = solve(problem, backend="cpu")
     assert solution.displacement == pytest.approx(y, abs=1e-5)
     assert solution.energy[-1] == pytest.approx(0, abs=1e-6)
@@ -114,9 +122,12 @@ def test_strong_data_are_the_limit_of_a_prescribed_motion():
     y[20:24, 10:14] = (3, -1)
     soft = np.zeros((30, 30))
     soft[20:24, 10:14] = 1e5
-    by_data = solve(Problem(y, c, np.ones((30, 30)), precision=soft), backend="cpu")
+    by_data = solve(
+        Problem(observed=y, confidence=c, stiffness=np.ones((30, 30)), precision=soft),
+        backend="cpu",
+    )
     c[20:24, 10:14] = 1
-    held = solve(Problem(y, c, np.ones((30, 30))), backend="cpu")
+    held = solve(Problem(observed=y, confidence=c, stiffness=np.ones((30, 30))), backend="cpu")
     assert np.abs(by_data.displacement - held.displacement).max() < 2e-3
 
 
@@ -127,7 +138,12 @@ def test_a_unit_of_stiffness_has_no_effect_if_precision_has_it_too(axes):
     data = tensors(rng, grid, axes, 1.0)
     y = rng.normal(size=(*grid, axes))
     fields = [
-        solve(Problem(y, 0 * y, unit * np.ones(grid), precision=unit * data), backend="cpu")
+        solve(
+            Problem(
+                observed=y, confidence=0 * y, stiffness=unit * np.ones(grid), precision=unit * data
+            ),
+            backend="cpu",
+        )
         for unit in (1.0, 1000.0)
     ]
     assert np.abs(fields[0].displacement - fields[1].displacement).max() < 2e-3
@@ -145,7 +161,12 @@ def test_a_ball_turns_freely_within_a_surface_that_observes_the_normal(axes):
     turn = np.zeros_like(place, float)
     turn[..., -2], turn[..., -1] = -0.1 * place[..., -1], 0.1 * place[..., -2]
     core = (away <= 3)[..., None]
-    problem = Problem(turn * core, core * np.ones(axes), away <= radius + 0.5, precision=data)
+    problem = Problem(
+        observed=turn * core,
+        confidence=core * np.ones(axes),
+        stiffness=away <= radius + 0.5,
+        precision=data,
+    )
     # The observed displacement of the surface is 0: only its normal component counts.
     field = solve(problem, ElasticPrior(0.3), backend="cpu").displacement
     tissue = away <= radius + 0.5
@@ -168,7 +189,9 @@ def test_a_block_slides_along_a_tilted_plane_and_keeps_its_distance(degrees):
     far = depth < -16
     y[far], c[far] = 4 * along, 1
     data = 1e3 * plane[..., None, None] * np.outer(normal, normal)
-    problem = Problem(y, c, (depth < 0.6).astype(float), precision=data)
+    problem = Problem(
+        observed=y, confidence=c, stiffness=(depth < 0.6).astype(float), precision=data
+    )
     field = solve(problem, ElasticPrior(0.3), backend="cpu").displacement
     middle = plane & (np.abs(place @ along) < 12)
     assert (field[middle] @ along).min() > 0.95 * 4
@@ -182,7 +205,13 @@ def test_landmarks_give_the_posterior_mean_of_the_same_prior(grid, spacing, sd):
     marks = Landmarks(points, points + rng.normal(size=points.shape), sd=sd)
     none = np.zeros((*grid, len(grid)))
     problem, prior = (
-        Problem(none, none, np.ones(grid), landmarks=marks, spacing=spacing),
+        Problem(
+            observed=none,
+            confidence=none,
+            stiffness=np.ones(grid),
+            landmarks=marks,
+            spacing=spacing,
+        ),
         ElasticPrior(0.3),
     )
     solution = solve(problem, prior, backend="cpu")
@@ -195,7 +224,7 @@ def test_many_certain_landmarks_in_a_volume_need_few_cycles():
     c[0] = 1
     points = rng.random((60, 3)) * 15
     marks = Landmarks(points, points + rng.normal(size=points.shape), sd=0.02)
-    problem = Problem(y, c, np.ones((16, 16, 16)), landmarks=marks)
+    problem = Problem(observed=y, confidence=c, stiffness=np.ones((16, 16, 16)), landmarks=marks)
     solution = solve(problem, ElasticPrior(0.3), backend="cpu")
     assert solution.convergence.way == "cycles"
     assert len(solution.energy) <= 12
@@ -209,7 +238,10 @@ def test_landmarks_do_not_depend_on_the_unit_of_stiffness():
     y, c = np.zeros((20, 20, 2)), np.zeros((20, 20, 2))
     c[0] = 1
     fields = [
-        solve(Problem(y, c, unit * np.ones((20, 20)), landmarks=marks), backend="cpu").displacement
+        solve(
+            Problem(observed=y, confidence=c, stiffness=unit * np.ones((20, 20)), landmarks=marks),
+            backend="cpu",
+        ).displacement
         for unit in (1.0, 1000.0)
     ]
     assert np.abs(fields[0] - fields[1]).max() < 2e-3
@@ -220,7 +252,10 @@ def test_a_certain_landmark_is_met_between_pixels():
     targets = points + np.array([(1.0, 0.5), (-1.0, 2.0)])
     none = np.zeros((20, 20, 2))
     marks = Landmarks(points, targets, sd=0.001)
-    solution = solve(Problem(none, none, np.ones((20, 20)), landmarks=marks), backend="cpu")
+    solution = solve(
+        Problem(observed=none, confidence=none, stiffness=np.ones((20, 20)), landmarks=marks),
+        backend="cpu",
+    )
     assert solution.at(points) == pytest.approx(targets - points, abs=2e-3)
 
 
@@ -239,7 +274,7 @@ def test_a_certain_landmark_is_met_between_pixels():
 def test_an_impossible_precision_is_refused_with_the_reason(precision, message):
     none = np.zeros((6, 6, 2))
     with pytest.raises(ProblemError, match=message) as refusal:
-        Problem(none, none, np.ones((6, 6)), precision=precision)
+        Problem(observed=none, confidence=none, stiffness=np.ones((6, 6)), precision=precision)
     assert "precision" in str(refusal.value)
 
 
@@ -247,7 +282,7 @@ def test_landmarks_that_move_tissue_far_beyond_the_image_are_refused():
     none, at = np.zeros((6, 6, 2)), [(1.5, 1.5), (3.2, 2.0)]
     landmarks = Landmarks(at, [(2.5, 1.5), (3.2, 40.0)], sd=1.0)
     with pytest.raises(ProblemError, match=r"by up to 38 \(landmark number 1\), but the diagonal"):
-        Problem(none, none, np.ones((6, 6)), landmarks=landmarks)
+        Problem(observed=none, confidence=none, stiffness=np.ones((6, 6)), landmarks=landmarks)
 
 
 @pytest.mark.parametrize(
@@ -266,7 +301,9 @@ def test_impossible_landmarks_are_refused_with_the_reason(points, sd, message):
     none, m = np.zeros((6, 6, 2)), np.ones((6, 6))
     m[3:5, 3:5] = 0
     with pytest.raises(ProblemError, match=message):
-        Problem(none, none, m, landmarks=Landmarks(points, points, sd=sd))
+        Problem(
+            observed=none, confidence=none, stiffness=m, landmarks=Landmarks(points, points, sd=sd)
+        )
 
 
 def test_landmarks_too_close_to_hold_the_rest_of_the_tissue_are_named_as_the_cause():
@@ -289,28 +326,47 @@ def test_data_that_leave_a_motion_free_are_refused():
     none = np.zeros((6, 6, 2))
     marks = Landmarks([(2.5, 2.5)], [(3.5, 2.5)], sd=1.0)
     with pytest.raises(ProblemError, match="by turning"):
-        solve(Problem(none, none, np.ones((6, 6)), landmarks=marks), backend="cpu")
+        solve(
+            Problem(observed=none, confidence=none, stiffness=np.ones((6, 6)), landmarks=marks),
+            backend="cpu",
+        )
     normals = np.broadcast_to(np.diag([1.0, 0.0]), (6, 6, 2, 2))
     with pytest.raises(ProblemError, match="along the column axis"):
-        solve(Problem(none, none, np.ones((6, 6)), precision=normals), backend="cpu")
+        solve(
+            Problem(observed=none, confidence=none, stiffness=np.ones((6, 6)), precision=normals),
+            backend="cpu",
+        )
 
 
 def test_problems_with_equal_tensors_share_them_unless_tissue_differs():
     none, m, hole = np.zeros((8, 8, 2)), np.ones((8, 8)), np.ones((8, 8))
     hole[3, 3] = 0
     data = tensors(np.random.default_rng(0), (8, 8), 2, 1.0)
-    first = Problem(none, none, m, precision=data)
-    assert Problem(none + 1, none, m, precision=data).precision is first.precision
+    first = Problem(observed=none, confidence=none, stiffness=m, precision=data)
+    assert (
+        Problem(observed=none + 1, confidence=none, stiffness=m, precision=data).precision
+        is first.precision
+    )
     data[4, 4] *= 2
-    assert np.array_equal(Problem(none, none, m, precision=data).precision, data)
-    assert not Problem(none, none, hole, precision=data).precision[3, 3].any()
+    assert np.array_equal(
+        Problem(observed=none, confidence=none, stiffness=m, precision=data).precision, data
+    )
+    assert (
+        not Problem(observed=none, confidence=none, stiffness=hole, precision=data)
+        .precision[3, 3]
+        .any()
+    )
 
 
 @pytest.mark.parametrize("prior", [SeilerPrior(), NeoHookeanPrior()])
 def test_models_without_a_data_term_refuse_it(prior):
     none = np.zeros((6, 6, 2))
     with pytest.raises(ProblemError, match="precision: cannot be used"):
-        solve(Problem(none, none, np.ones((6, 6)), precision=1.0), prior, backend="cpu")
+        solve(
+            Problem(observed=none, confidence=none, stiffness=np.ones((6, 6)), precision=1.0),
+            prior,
+            backend="cpu",
+        )
 
 
 def test_a_bone_follows_the_data_as_one_body():
@@ -318,7 +374,9 @@ def test_a_bone_follows_the_data_as_one_body():
     y[..., 0] = 0.05 * np.indices((24, 24))[1]
     m = np.ones((24, 24))
     m[8:14, 8:14] = np.inf
-    field = solve(Problem(y, 0 * y, m, precision=1.0), backend="cpu").displacement[8:14, 8:14]
+    field = solve(
+        Problem(observed=y, confidence=0 * y, stiffness=m, precision=1.0), backend="cpu"
+    ).displacement[8:14, 8:14]
     stretch = np.diff(field[..., 0], axis=0), np.diff(field[..., 1], axis=1)
     assert max(np.abs(each).max() for each in stretch) < 1e-5
     assert field[..., 0].mean() == pytest.approx(y[8:14, 8:14, 0].mean(), abs=0.05)
@@ -332,7 +390,7 @@ def test_loose_specks_stay_at_rest_on_request_in_images_and_volumes():
         m[(slice(13, 15),) * axes] = 1
         y, c = np.zeros((*grid, axes)), np.zeros((*grid, axes))
         c[0], y[9], c[9] = 1, 0.5, 1
-        problem = Problem(y, c, m)
+        problem = Problem(observed=y, confidence=c, stiffness=m)
         with pytest.raises(ProblemError, match="not held anywhere"):
             solve(problem, backend="cpu")
         solution = solve(problem, backend="cpu", rest_loose=True)
@@ -345,7 +403,7 @@ def test_a_piece_that_landmarks_hold_does_not_stay_at_rest():
     m[:10, :10] = m[12:, 12:] = 1
     points = np.array([(1.5, 2.5), (8.2, 7.7), (12.5, 12.5), (14.5, 13.5), (4.5, 8.5)])
     marks = Landmarks(points, points + 1.0, sd=0.1)
-    problem = Problem(none, none, m, landmarks=marks)
+    problem = Problem(observed=none, confidence=none, stiffness=m, landmarks=marks)
     field = solve(problem, backend="cpu", rest_loose=True).displacement
     assert field[m > 0] == pytest.approx(1, abs=1e-3)
 
@@ -355,7 +413,9 @@ def test_points_beside_tissue_follow_the_nearest_tissue_on_request():
     y[..., 0] = 2
     m = np.zeros((12, 12))
     m[2:8, 2:8] = 1
-    solution = solve(Problem(y, 0 * y, m, precision=1.0), backend="cpu")
+    solution = solve(
+        Problem(observed=y, confidence=0 * y, stiffness=m, precision=1.0), backend="cpu"
+    )
     points = [(7.5, 4.0), (10.0, 10.0), (4.25, 5.5)]
     assert solution.at(points, extend=True) == pytest.approx(np.array([(2, 0)] * 3), abs=1e-4)
     assert solution.at(points)[0, 0] == pytest.approx(1, abs=1e-4)

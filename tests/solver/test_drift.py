@@ -25,7 +25,12 @@ def free_tissue(points, targets, m=None, held=False, **options):
     y = np.zeros((*m.shape, m.ndim))
     c = np.zeros_like(y)
     c[0] = held
-    return Problem(y, c, m, landmarks=Landmarks(points, targets, drift=True, **options))
+    return Problem(
+        observed=y,
+        confidence=c,
+        stiffness=m,
+        landmarks=Landmarks(points, targets, drift=True, **options),
+    )
 
 
 def drift_of(solution):
@@ -74,7 +79,15 @@ def test_a_drift_has_the_least_energy_of_all_fields_and_strains(grid, spacing, s
     targets = points + 0.5 * rng.normal(size=points.shape) + 0.05 * points
     marks = Landmarks(points, targets, sd=sd, drift=True)
     m = 20 ** rng.random(grid)
-    problem = Problem(y, c, m, spacing=spacing, loads=loads, precision=precision, landmarks=marks)
+    problem = Problem(
+        observed=y,
+        confidence=c,
+        stiffness=m,
+        spacing=spacing,
+        loads=loads,
+        precision=precision,
+        landmarks=marks,
+    )
     prior = ElasticPrior(0.3, plane=plane)
     solution = solve(problem, prior, backend="cpu")
     field, strain = posterior_mean_with_drift(problem, prior)
@@ -117,8 +130,14 @@ def test_any_other_drift_around_bones_has_more_energy(held):
     def energy_with(strain):
         loads = Loads(growth=soft * strain)
         marks = Landmarks(points, points + points @ SHEAR, sd=0.5)
-        arrays = problem.observed, problem.confidence, problem.stiffness
-        return solve(Problem(*arrays, landmarks=marks, loads=loads), backend="cpu").mean_energy
+        varied = Problem(
+            observed=problem.observed,
+            confidence=problem.confidence,
+            stiffness=problem.stiffness,
+            landmarks=marks,
+            loads=loads,
+        )
+        return solve(varied, backend="cpu").mean_energy
 
     assert best.mean_energy == pytest.approx(energy_with(drift_of(best)), rel=1e-4)
     for unit in ([[1, 0], [0, 0]], [[0, 1], [1, 0]], [[0, 0], [0, 1]]):

@@ -35,7 +35,7 @@ def compressed_volume(m, spacing=(1.0, 1.0, 1.0), by=(1.0, 0.5, -0.3)):
     y, c = np.zeros((*m.shape, 3)), np.zeros((*m.shape, 3))
     c[0] = c[-1] = 1
     y[-1] = np.array(by) * spacing
-    return Problem(y, c, m, spacing=spacing)
+    return Problem(observed=y, confidence=c, stiffness=m, spacing=spacing)
 
 
 def random_stiffness(ratio, shape=(11, 10, 10), seed=0):
@@ -269,7 +269,12 @@ def test_a_uniform_strain_of_the_faces_extends_to_the_inside(spacing):
     strain = np.array([[0.02, -0.01, 0.03], [0.03, 0.015, 0.01], [-0.02, 0.01, 0.01]])
     c = np.ones((9, 8, 12, 3))
     c[1:-1, 1:-1, 1:-1] = 0
-    problem = Problem(places @ strain.T, c, np.full((9, 8, 12), 7.0), spacing=spacing)
+    problem = Problem(
+        observed=places @ strain.T,
+        confidence=c,
+        stiffness=np.full((9, 8, 12), 7.0),
+        spacing=spacing,
+    )
     found = solve(problem, ElasticPrior(0.45), optimizer=Multigrid(1e-5))
     np.testing.assert_allclose(found.displacement, places @ strain.T, atol=2e-5)
 
@@ -281,11 +286,18 @@ def test_a_stack_of_slices_is_plane_strain():
     y[-1] = (0.5, 0.3)
     spacing = (1.5, 1.0)
     of_slice = solve(
-        Problem(y, c, m, spacing=spacing), ElasticPrior(0.4, plane="strain"), backend="cpu"
+        Problem(observed=y, confidence=c, stiffness=m, spacing=spacing),
+        ElasticPrior(0.4, plane="strain"),
+        backend="cpu",
     )
     deep, sure = np.zeros((4, 9, 11, 3)), np.zeros((4, 9, 11, 3))
     deep[..., 1:], sure[..., 1:], sure[..., 0] = y, c, 1
-    stack = Problem(deep, sure, np.broadcast_to(m, (4, 9, 11)), spacing=(2.0, *spacing))
+    stack = Problem(
+        observed=deep,
+        confidence=sure,
+        stiffness=np.broadcast_to(m, (4, 9, 11)),
+        spacing=(2.0, *spacing),
+    )
     found = solve(stack, ElasticPrior(0.4))
     for each in found.displacement:
         np.testing.assert_allclose(each[..., 1:], of_slice.displacement, atol=4e-3)
@@ -300,7 +312,9 @@ def test_the_field_does_not_depend_on_the_order_of_the_axes():
             each.transpose(*turn, 3)[..., turn] for each in (problem.observed, problem.confidence)
         )
         spacing = tuple(OBLONG[axis] for axis in turn)
-        turned = Problem(y, c, problem.stiffness.transpose(turn), spacing=spacing)
+        turned = Problem(
+            observed=y, confidence=c, stiffness=problem.stiffness.transpose(turn), spacing=spacing
+        )
         found = solve(turned, ElasticPrior(0.4), optimizer=PRECISE).displacement
         np.testing.assert_allclose(found, expected.transpose(*turn, 3)[..., turn], atol=2e-3)
 
@@ -313,7 +327,9 @@ def error_of_a_hollow_sphere(n):
     skins = tissue & ((r < 0.45) | (r > 0.82))  # the same thickness on every grid
     exact = 0.05 * (1 + 0.1 / np.maximum(r, 0.1) ** 3)[..., None] * places
     c = np.repeat(skins[..., None], 3, axis=-1).astype(float)
-    problem = Problem(exact, c, tissue.astype(float), spacing=(2 / n,) * 3)
+    problem = Problem(
+        observed=exact, confidence=c, stiffness=tissue.astype(float), spacing=(2 / n,) * 3
+    )
     found = solve(problem, ElasticPrior(0.3), optimizer=Multigrid(1e-4))
     off = np.linalg.norm(found.displacement - exact, axis=-1)[tissue & ~skins]
     return float(np.sqrt((off**2).mean()))
@@ -333,10 +349,14 @@ def test_the_error_of_a_weakly_constrained_volume_is_estimated_by_rehearsal():
     y[-1] = np.random.default_rng(0).normal(size=(16, 16, 3))
     heard = []
     found = solve(
-        Problem(y, c, m), optimizer=Multigrid(0.01), progress=lambda m: heard.append(m.message)
+        Problem(observed=y, confidence=c, stiffness=m),
+        optimizer=Multigrid(0.01),
+        progress=lambda m: heard.append(m.message),
     )
     assert any(message.startswith("rehearsal") for message in heard)
-    exact = solve(Problem(y, c, m), optimizer=Multigrid(1e-5), initial=found)
+    exact = solve(
+        Problem(observed=y, confidence=c, stiffness=m), optimizer=Multigrid(1e-5), initial=found
+    )
     assert np.abs(found.displacement - exact.displacement).max() <= found.convergence.error
 
 
@@ -355,7 +375,10 @@ def test_the_reported_error_is_a_bound_or_the_solve_fails(seed):
     held = draw.random(shape) < 0.02
     held[0] = True
     c[held], y[held] = 1, draw.normal(size=3)
-    problem, poisson = Problem(y, c, m), float(draw.uniform(0.2, 0.49))
+    problem, poisson = (
+        Problem(observed=y, confidence=c, stiffness=m),
+        float(draw.uniform(0.2, 0.49)),
+    )
     try:
         found = solve(problem, ElasticPrior(poisson), optimizer=PRECISE)
     except (ProblemError, ConvergenceError):
@@ -398,13 +421,13 @@ def test_bone_with_prescribed_sites_follows_their_motion():
     for at in [(2, 2, 2), (3, 3, 4), (2, 3, 3)]:
         y[at], c[at] = turn[at], 1
     y[6, 6, 5], c[6, 6, 5] = (0.4, -0.2, 0.1), 1
-    problem = Problem(y, c, problem.stiffness, spacing=OBLONG)
+    problem = Problem(observed=y, confidence=c, stiffness=problem.stiffness, spacing=OBLONG)
     found = solve(problem, ElasticPrior(0.4), optimizer=PRECISE)
     assert error_in_voxels(found, problem, 0.4) <= found.convergence.error <= PRECISE.tolerance
     np.testing.assert_allclose(found.displacement[3, 2, 3], turn[3, 2, 3], atol=1e-5)
     y[3, 2, 3], c[3, 2, 3] = (1, 1, 1), 1
     with pytest.raises(ProblemError, match=r"the rigid body around \(2, 2, 3\) relative to each"):
-        solve(Problem(y, c, problem.stiffness, spacing=OBLONG))
+        solve(Problem(observed=y, confidence=c, stiffness=problem.stiffness, spacing=OBLONG))
 
 
 # Observations that slip
@@ -425,7 +448,10 @@ def test_slipping_observations_pull_with_the_penalty_and_exact_ones_with_less(sh
     seen = draw.random(shape) < 0.1
     seen[0] = seen[-1] = True
     y[seen], c[seen] = draw.normal(size=(seen.sum(), 3)) * OBLONG, draw.uniform(0.2, 1)
-    problem, prior = Problem(y, c, m, spacing=OBLONG), ElasticPrior(0.4, penalty=penalty)
+    problem, prior = (
+        Problem(observed=y, confidence=c, stiffness=m, spacing=OBLONG),
+        ElasticPrior(0.4, penalty=penalty),
+    )
     found = solve(problem, prior, optimizer=PRECISE)
     away = (problem.observed - found.displacement) / problem.unit
     held = problem.known & (np.abs(away) < 1e-6)
@@ -589,9 +615,9 @@ def test_tissue_that_can_rotate_around_a_hinge_is_rejected(meet):
     y, c = np.zeros((6, 6, 6, 3)), np.zeros((6, 6, 6, 3))
     c[:2, :2] = 1
     with pytest.raises(ProblemError, match="could still move by turning"):
-        solve(Problem(y, c, m))
+        solve(Problem(observed=y, confidence=c, stiffness=m))
     c[4, 4, 4] = c[4, 2, 4] = c[2, 4, 2] = 1  # not on a line with the hinge
-    assert not solve(Problem(y, c, m)).displacement.any()
+    assert not solve(Problem(observed=y, confidence=c, stiffness=m)).displacement.any()
 
 
 def test_a_piece_needs_three_constrained_sites():
@@ -600,13 +626,15 @@ def test_a_piece_needs_three_constrained_sites():
     y, c = np.zeros((3, 4, 9, 3)), np.zeros((3, 4, 9, 3))
     c[:, :, 0] = 1
     with pytest.raises(ProblemError, match=r"48 pixels around .* is not held anywhere"):
-        solve(Problem(y, c, m))
+        solve(Problem(observed=y, confidence=c, stiffness=m))
     c[0, 0, 6] = c[0, 3, 6] = 1
     with pytest.raises(ProblemError, match="could still move by turning"):
-        solve(Problem(y, c, m))
+        solve(Problem(observed=y, confidence=c, stiffness=m))
     c[2, 0, 6, 0] = 1
     with pytest.raises(ProblemError, match="could still move by turning"):
-        solve(Problem(y, c, m))
+        solve(Problem(observed=y, confidence=c, stiffness=m))
     c[2, 0, 6] = 1
     y[:, :, 5:] = (1.0, -0.5, 0.3)
-    assert solve(Problem(y, c, m)).displacement[1, 1, 7] == pytest.approx([1, -0.5, 0.3], abs=1e-3)
+    assert solve(Problem(observed=y, confidence=c, stiffness=m)).displacement[
+        1, 1, 7
+    ] == pytest.approx([1, -0.5, 0.3], abs=1e-3)

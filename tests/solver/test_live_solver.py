@@ -32,7 +32,11 @@ def unconstrained_problem():
     problem = pulled_problem()
     m = np.array(problem.stiffness)
     m[:, 10] = 0
-    return Problem(problem.observed, problem.confidence * (np.arange(SIZE) < 9)[:, None], m)
+    return Problem(
+        observed=problem.observed,
+        confidence=problem.confidence * (np.arange(SIZE) < 9)[:, None],
+        stiffness=m,
+    )
 
 
 def raise_problem_error():
@@ -221,7 +225,7 @@ def test_errors_are_delivered_and_later_edits_are_solved(live, updates):
     for problem in (
         raise_problem_error,
         unconstrained_problem,
-        lambda: Problem(1, 2, 3),
+        lambda: Problem(observed=1, confidence=2, stiffness=3),
         pulled_problem,
     ):
         live.submit(problem)

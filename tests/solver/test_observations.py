@@ -52,7 +52,9 @@ def uncertain_problem(seed=0, spacing=(1.0, 1.0)):
     c[0] = rng.uniform(0.05, 1, (18, 2))
     c[-1, ::2] = rng.uniform(0.05, 1, (9, 2))
     c[4:6, 10:14, 1] = 0.5
-    return Problem(rng.normal(size=(*shape, 2)), c, m, spacing=spacing)
+    return Problem(
+        observed=rng.normal(size=(*shape, 2)), confidence=c, stiffness=m, spacing=spacing
+    )
 
 
 @pytest.mark.parametrize(
@@ -88,7 +90,9 @@ def test_the_force_of_an_observation_is_proportional_to_its_confidence():
         c[:, -1, 1] = confidence
         prior = ElasticPrior(0.0, penalty=0.05)  # too weak for 4 pixels
         found = solve(
-            Problem(y, c, np.ones((9, 41))), prior, optimizer=Multigrid(1e-4)
+            Problem(observed=y, confidence=c, stiffness=np.ones((9, 41))),
+            prior,
+            optimizer=Multigrid(1e-4),
         ).displacement
         strain.append(found[4, 30, 1] - found[4, 10, 1])
     assert strain[1] == pytest.approx(2 * strain[0], rel=1e-3)
@@ -105,7 +109,9 @@ def test_a_large_penalty_makes_observations_exact():
 def test_the_field_depends_only_on_ratios_of_stiffness():
     problem = uncertain_problem()
     prior = ElasticPrior(penalty=0.5)
-    harder = Problem(problem.observed, problem.confidence, problem.stiffness * 1000)
+    harder = Problem(
+        observed=problem.observed, confidence=problem.confidence, stiffness=problem.stiffness * 1000
+    )
     np.testing.assert_allclose(
         solve(harder, prior).displacement, solve(problem, prior).displacement, atol=2e-3
     )
@@ -118,12 +124,16 @@ def test_a_slipping_piece_moves_to_the_majority_of_its_observations():
     c[3, 10, 0] = 1
     y[:, -1, 1] = 30
     found = solve(
-        Problem(y, c, np.ones((8, 20))), ElasticPrior(penalty=1e-3), optimizer=Multigrid(1e-4)
+        Problem(observed=y, confidence=c, stiffness=np.ones((8, 20))),
+        ElasticPrior(penalty=1e-3),
+        optimizer=Multigrid(1e-4),
     )
     assert np.abs(found.displacement[:, :5]).max() < 0.02
     y[:, :5, 1], y[:, -1, 1] = 30, 0
     found = solve(
-        Problem(y, c, np.ones((8, 20))), ElasticPrior(penalty=1e-3), optimizer=Multigrid(1e-4)
+        Problem(observed=y, confidence=c, stiffness=np.ones((8, 20))),
+        ElasticPrior(penalty=1e-3),
+        optimizer=Multigrid(1e-4),
     )
     assert np.abs(found.displacement[:, :5, 1] - 30).max() < 0.02
 
@@ -137,7 +147,10 @@ def test_a_weakly_pulled_patch_slips_into_equilibrium(penalty):
     c[edge] = 1
     y[patch], c[patch] = (0, 35), penalty / firm
     m = np.where(np.hypot(*(place - 12)) < 24, 4.0, 1.0)
-    problem, prior = Problem(y, c, m), ElasticPrior(0.45, penalty=firm)
+    problem, prior = (
+        Problem(observed=y, confidence=c, stiffness=m),
+        ElasticPrior(0.45, penalty=firm),
+    )
     found = solve(problem, prior, optimizer=Multigrid(1e-4))
     # About fifty cycles find the slipping components; the others confirm them.
     assert found.iterations < 450
@@ -156,7 +169,7 @@ def test_a_warm_start_after_a_small_edit_saves_cycles_without_changing_the_field
     before = solve(problem, ElasticPrior(), optimizer=Multigrid(0.01))
     y = problem.observed.copy()
     y[..., 0] += np.where(y[..., 0] > 0, 0.2, 0).astype(np.float32)
-    edited = Problem(y, problem.confidence, problem.stiffness)
+    edited = Problem(observed=y, confidence=problem.confidence, stiffness=problem.stiffness)
     cold = solve(edited, ElasticPrior(), optimizer=Multigrid(0.01))
     warm = solve(edited, ElasticPrior(), optimizer=Multigrid(0.01), initial=before)
     assert warm.iterations < cold.iterations
@@ -178,7 +191,11 @@ def test_moving_a_patch_again_is_extrapolated_from_earlier_fields():
     problem = phantom("mass-effect", 128).problem
     patch = (np.arange(128)[:, None, None] < 40) & (problem.confidence > 0)
     moved = [
-        Problem(problem.observed + k * patch, problem.confidence, problem.stiffness)
+        Problem(
+            observed=problem.observed + k * patch,
+            confidence=problem.confidence,
+            stiffness=problem.stiffness,
+        )
         for k in (0, 1, 3)
     ]
     known = [solve(each, ElasticPrior(), optimizer=Multigrid(1e-3)) for each in moved[:2]]

@@ -16,7 +16,7 @@ def valid_arrays(shape=(5, 4)):
 
 def test_inputs_are_copied_converted_and_frozen():
     y, c, m = valid_arrays()
-    problem = Problem(y, c, m, spacing=[0.5, 2])
+    problem = Problem(observed=y, confidence=c, stiffness=m, spacing=[0.5, 2])
     m[:] = 7
     assert problem.stiffness.max() == 1
     assert problem.shape == (5, 4)
@@ -46,8 +46,8 @@ def test_any_memory_layout_gives_the_same_problem(change):
     arrays = [np.round(np.random.default_rng(0).random((4, 6)), 2) + 1]
     arrays += [np.round(np.random.default_rng(1).random((4, 6, 2)), 1) for _ in range(2)]
     m, y, c = (array.astype(np.float16).astype(float) for array in arrays)
-    expected = Problem(y, c, m)
-    changed = Problem(change(y), change(c), change(m))
+    expected = Problem(observed=y, confidence=c, stiffness=m)
+    changed = Problem(observed=change(y), confidence=change(c), stiffness=change(m))
     for field in ("observed", "confidence", "stiffness"):
         np.testing.assert_array_equal(getattr(changed, field), getattr(expected, field))
 
@@ -55,12 +55,16 @@ def test_any_memory_layout_gives_the_same_problem(change):
 def test_observations_without_confidence_are_ignored():
     y, c, m = valid_arrays()
     y[4] = np.nan
-    assert np.isfinite(Problem(y, c, m).observed).all()
+    assert np.isfinite(Problem(observed=y, confidence=c, stiffness=m).observed).all()
 
 
 def test_integers_and_booleans_are_accepted():
     y, c, _ = valid_arrays()
-    problem = Problem(y.astype(int), c.astype(bool), np.ones((5, 4), dtype=np.uint16) * 40000)
+    problem = Problem(
+        observed=y.astype(int),
+        confidence=c.astype(bool),
+        stiffness=np.ones((5, 4), dtype=np.uint16) * 40000,
+    )
     assert problem.stiffness[0, 0] == 40000
 
 
@@ -141,26 +145,42 @@ def test_arrays_on_different_grids_are_rejected_with_both_shapes(field, shape):
 def test_grids_that_cannot_deform_are_rejected(shape):
     ndim = len(shape)
     with pytest.raises(ProblemError) as caught:
-        Problem(np.zeros((*shape, ndim)), np.ones((*shape, ndim)), np.ones(shape))
+        Problem(
+            observed=np.zeros((*shape, ndim)),
+            confidence=np.ones((*shape, ndim)),
+            stiffness=np.ones(shape),
+        )
     assert caught.value.field == "stiffness"
 
 
 def test_a_volume_has_three_components_and_three_spacings():
     m = np.ones((3, 4, 5))
-    problem = Problem(np.zeros((3, 4, 5, 3)), np.ones((3, 4, 5, 3)), m, spacing=(2, 1, 1))
+    problem = Problem(
+        observed=np.zeros((3, 4, 5, 3)),
+        confidence=np.ones((3, 4, 5, 3)),
+        stiffness=m,
+        spacing=(2, 1, 1),
+    )
     assert problem.is_volume
     assert problem.unit == pytest.approx(2 ** (1 / 3))
-    assert Problem(np.zeros((3, 4, 5, 3)), np.ones((3, 4, 5, 3)), m).spacing == (1, 1, 1)
+    assert Problem(
+        observed=np.zeros((3, 4, 5, 3)), confidence=np.ones((3, 4, 5, 3)), stiffness=m
+    ).spacing == (1, 1, 1)
     with pytest.raises(ProblemError, match=r"\(3, 4, 5, 3\) is needed"):
-        Problem(np.zeros((3, 4, 5, 2)), np.ones((3, 4, 5, 3)), m)
+        Problem(observed=np.zeros((3, 4, 5, 2)), confidence=np.ones((3, 4, 5, 3)), stiffness=m)
     with pytest.raises(ProblemError, match="3 positive"):
-        Problem(np.zeros((3, 4, 5, 3)), np.ones((3, 4, 5, 3)), m, spacing=(1, 1))
+        Problem(
+            observed=np.zeros((3, 4, 5, 3)),
+            confidence=np.ones((3, 4, 5, 3)),
+            stiffness=m,
+            spacing=(1, 1),
+        )
 
 
 def test_arrays_in_the_wrong_order_are_rejected_with_the_right_order():
     y, c, m = valid_arrays()
-    with pytest.raises(ProblemError, match="Pass observed, confidence and stiffness in this order"):
-        Problem(m, c, y)
+    with pytest.raises(ProblemError, match="Pass one value for each pixel"):
+        Problem(observed=m, confidence=c, stiffness=y)
 
 
 @pytest.mark.parametrize(
@@ -183,33 +203,34 @@ def test_arrays_in_the_wrong_order_are_rejected_with_the_right_order():
     ],
 )
 def test_an_invalid_spacing_is_rejected(spacing):
+    y, c, m = valid_arrays()
     with pytest.raises(ProblemError, match=r"pixel sizes|positive numbers|unit of length"):
-        Problem(*valid_arrays(), spacing=spacing)
+        Problem(observed=y, confidence=c, stiffness=m, spacing=spacing)
 
 
 @pytest.mark.parametrize("kind", [complex, object, str])
 def test_arrays_of_other_than_real_numbers_are_rejected(kind):
     y, c, m = valid_arrays()
     with pytest.raises(ProblemError, match="type"):
-        Problem(y, c, m.astype(kind))
+        Problem(observed=y, confidence=c, stiffness=m.astype(kind))
 
 
 def test_rows_of_different_length_are_rejected():
     y, c, _ = valid_arrays()
     with pytest.raises(ProblemError, match="not an array of numbers"):
-        Problem(y, c, [[1, 2], [3]])
+        Problem(observed=y, confidence=c, stiffness=[[1, 2], [3]])
 
 
 def test_a_masked_array_is_rejected():
     y, c, m = valid_arrays()
     with pytest.raises(ProblemError, match="mask would be lost"):
-        Problem(y, c, np.ma.masked_less(m, 0))
+        Problem(observed=y, confidence=c, stiffness=np.ma.masked_less(m, 0))
 
 
 @pytest.mark.parametrize("shape", [(1, 7), (7, 1), (2, 2)])
 def test_thin_grids_are_accepted(shape):
     y, c, m = np.zeros((*shape, 2)), np.ones((*shape, 2)), np.ones(shape)
-    assert Problem(y, c, m).shape == shape
+    assert Problem(observed=y, confidence=c, stiffness=m).shape == shape
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0), (0.01, 0.02), (300.0, 100.0)])
@@ -219,12 +240,12 @@ def test_a_motion_far_beyond_the_image_is_rejected_as_a_wrong_unit(spacing):
     c[2, 3] = (0, 1)
     reach = 2 * np.hypot(*np.multiply(m.shape, spacing))
     y[2, 3] = (0, 0.999 * reach)
-    Problem(y, c, m, spacing=spacing)
+    Problem(observed=y, confidence=c, stiffness=m, spacing=spacing)
     y[2, 3] = (0, -1.001 * reach)
     with pytest.raises(
         ProblemError, match=r"observed: moves tissue by up to .* the image is only"
     ) as caught:
-        Problem(y, c, m, spacing=spacing)
+        Problem(observed=y, confidence=c, stiffness=m, spacing=spacing)
     assert "(2, 3)" in str(caught.value)
     assert "Use the unit of length in which a pixel is" in str(caught.value)
 
@@ -232,13 +253,13 @@ def test_a_motion_far_beyond_the_image_is_rejected_as_a_wrong_unit(spacing):
 def test_a_huge_motion_without_confidence_is_ignored():
     y, c, m = valid_arrays()
     y[2, 3], c[2, 3] = 1e30, 0
-    assert not Problem(y, c, m).observed[2, 3].any()
+    assert not Problem(observed=y, confidence=c, stiffness=m).observed[2, 3].any()
 
 
 def test_the_repr_of_a_problem_is_one_line_without_arrays():
     c, m = np.zeros((300, 200, 2)), np.full((300, 200), 10.0)
     c[:2], m[100:] = (0, 1), 0.12345
-    problem = Problem(np.zeros_like(c), c, m, spacing=(0.5, 1))
+    problem = Problem(observed=np.zeros_like(c), confidence=c, stiffness=m, spacing=(0.5, 1))
     assert repr(problem) == (
         "Problem(300 x 200 sites of 0.5 x 1, 400 observed, stiffness 0.123 to 10)"
     )
@@ -254,5 +275,12 @@ def test_the_repr_of_a_problem_is_one_line_without_arrays():
     ],
 )
 def test_the_repr_of_a_problem_mentions_void_and_rigid_tissue(stiffness, says):
-    problem = Problem(np.zeros((1, 3, 2)), np.ones((1, 3, 2)), [stiffness])
+    problem = Problem(
+        observed=np.zeros((1, 3, 2)), confidence=np.ones((1, 3, 2)), stiffness=[stiffness]
+    )
     assert repr(problem).endswith(f"{says})")
+
+
+def test_observed_and_confidence_cannot_be_swapped_by_position():
+    with pytest.raises(TypeError, match="positional"):
+        Problem(*valid_arrays())

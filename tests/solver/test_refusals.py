@@ -39,7 +39,9 @@ def test_tissue_beyond_double_precision_is_named_with_its_relative_energy():
 def test_fully_observed_tissue_can_be_one_pixel_wide(prior):
     y, c = np.zeros((2, 5, 1, 2))
     y[:, 0, 0], c[...] = np.linspace(0, 0.3, 5), 1
-    solution = solve(Problem(y, c, np.ones((5, 1))), prior, backend="cpu")
+    solution = solve(
+        Problem(observed=y, confidence=c, stiffness=np.ones((5, 1))), prior, backend="cpu"
+    )
     np.testing.assert_allclose(solution.displacement, y, atol=1e-6)
 
 
@@ -47,7 +49,11 @@ def test_thin_tissue_with_unobserved_sites_is_rejected():
     y, c = np.zeros((2, 5, 1, 2))
     c[0] = 1
     with pytest.raises(ProblemError, match="no tissue that is two pixels wide"):
-        solve(Problem(y, c, np.ones((5, 1))), ElasticPrior(), backend="cpu")
+        solve(
+            Problem(observed=y, confidence=c, stiffness=np.ones((5, 1))),
+            ElasticPrior(),
+            backend="cpu",
+        )
 
 
 def compressed_problem():
@@ -55,7 +61,7 @@ def compressed_problem():
     c[0] = c[-1] = 1
     y = np.zeros_like(c)
     y[-1, :, 0] = 1
-    return Problem(y, c, np.ones((12, 10)))
+    return Problem(observed=y, confidence=c, stiffness=np.ones((12, 10)))
 
 
 @pytest.mark.parametrize(

@@ -32,7 +32,7 @@ def tissue_with_bone(rigid, stiffness=np.inf, spacing=(1.0, 1.0)):
     y, c = np.zeros((N, N, 2)), np.zeros((N, N, 2))
     c[0] = c[-1] = 1
     y[-1] = (3, 2)
-    return Problem(y, c, m, spacing=spacing)
+    return Problem(observed=y, confidence=c, stiffness=m, spacing=spacing)
 
 
 def reference_solution(problem, sites):
@@ -124,7 +124,12 @@ def test_a_bone_fixed_at_one_pixel_rotates_about_it():
     problem = tissue_with_bone(bar())
     y, c = problem.observed.copy(), problem.confidence.copy()
     c[24, 24] = 1
-    solution = solve(Problem(y, c, problem.stiffness), PRIOR, optimizer=Multigrid(), backend="cpu")
+    solution = solve(
+        Problem(observed=y, confidence=c, stiffness=problem.stiffness),
+        PRIOR,
+        optimizer=Multigrid(),
+        backend="cpu",
+    )
     np.testing.assert_allclose(solution.displacement[24, 24], 0, atol=1e-6)
     assert np.abs(solution.displacement[bar()]).max() > 0.02
 
@@ -134,7 +139,10 @@ def test_a_bone_fixed_everywhere_does_not_move():
     c = problem.confidence.copy()
     c[disc()] = 1
     held = solve(
-        Problem(problem.observed, c, problem.stiffness), PRIOR, optimizer=Multigrid(), backend="cpu"
+        Problem(observed=problem.observed, confidence=c, stiffness=problem.stiffness),
+        PRIOR,
+        optimizer=Multigrid(),
+        backend="cpu",
     )
     assert np.abs(held.displacement[disc()]).max() < 1e-6
 
@@ -145,7 +153,12 @@ def test_prescribed_bending_of_a_bone_is_rejected_with_its_position():
     c[disc()] = 1
     y[24, 20] = (2, 0)
     with pytest.raises(ProblemError, match=r"the rigid body around \(24, 20\)"):
-        solve(Problem(y, c, problem.stiffness), PRIOR, optimizer=Multigrid(), backend="cpu")
+        solve(
+            Problem(observed=y, confidence=c, stiffness=problem.stiffness),
+            PRIOR,
+            optimizer=Multigrid(),
+            backend="cpu",
+        )
 
 
 def test_the_paper_prior_rejects_rigid_tissue_with_a_suggestion():
@@ -163,7 +176,12 @@ def test_entirely_rigid_tissue_follows_its_prescribed_motion():
     y = np.zeros((N, N, 2))
     c = problem.confidence.copy()
     y[c > 0] = 1.5
-    solution = solve(Problem(y, c, problem.stiffness), PRIOR, optimizer=Multigrid(), backend="cpu")
+    solution = solve(
+        Problem(observed=y, confidence=c, stiffness=problem.stiffness),
+        PRIOR,
+        optimizer=Multigrid(),
+        backend="cpu",
+    )
     np.testing.assert_allclose(solution.displacement, 1.5, atol=1e-5)
 
 

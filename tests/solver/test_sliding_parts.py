@@ -47,7 +47,9 @@ def test_a_block_slides_along_a_tilted_plane_without_a_gap(degrees):
     above = depth < 0
     y = np.where(above[..., None], SLIP * along, 0.0)
     parts = SlidingParts(above.astype(int))
-    problem = Problem(y, both(abs(depth) > 20), np.ones(depth.shape), sliding=parts)
+    problem = Problem(
+        observed=y, confidence=both(abs(depth) > 20), stiffness=np.ones(depth.shape), sliding=parts
+    )
     error = solve(problem, backend="cpu").displacement - y
     assert abs(error @ along).max() <= 0.05 * SLIP
     near = abs(depth) < 3
@@ -64,7 +66,9 @@ def test_a_pushed_block_climbs_a_wedge():
     y, c = np.zeros((64, 64, 2)), both(rows == 63)
     y[pushed, 1], c[pushed, 1] = SLIP, 1  # horizontally; free to rise
     tissue = block | (depth >= 0)
-    problem = Problem(y, c, tissue, sliding=SlidingParts((depth < 0).astype(int)))
+    problem = Problem(
+        observed=y, confidence=c, stiffness=tissue, sliding=SlidingParts((depth < 0).astype(int))
+    )
     moved = solve(problem, backend="cpu").displacement
     assert abs(moved[block] - SLIP / along[1] * along).max() <= 0.05
     assert abs(moved[depth > 0]).max() <= 0.05
@@ -81,7 +85,9 @@ def test_a_disc_turns_in_a_ring_and_a_ball_in_a_shell(axes, size, radius):
         held.swapaxes(0, axis)[[0, -1]] = True
     y = np.where(inside[..., None], turn, 0.0)
     parts = SlidingParts(inside.astype(int))
-    problem = Problem(y, both(held, axes), np.ones(away.shape), sliding=parts)
+    problem = Problem(
+        observed=y, confidence=both(held, axes), stiffness=np.ones(away.shape), sliding=parts
+    )
     moved = solve(problem, backend="cpu").displacement
     shell = abs(away - radius) < 3
     fast = inside & shell & (np.linalg.norm(turn, axis=-1) > SLIP / 2)
@@ -101,7 +107,9 @@ def test_pressure_passes_through_an_interface_of_any_direction(degrees):
     edge = np.ones(depth.shape, np.bool_)
     edge[1:-1, 1:-1] = False
     parts = SlidingParts(above.astype(int))
-    problem = Problem(y, both(edge), np.ones(depth.shape), sliding=parts)
+    problem = Problem(
+        observed=y, confidence=both(edge), stiffness=np.ones(depth.shape), sliding=parts
+    )
     error = solve(problem, ElasticPrior(0.0), backend="cpu").displacement - y
     assert abs(error).max() <= 0.06
 
@@ -120,9 +128,9 @@ def test_sliding_parts_give_the_field_of_least_energy(grid, spacing, count):
     y, c = rng.normal(size=(*grid, axes)), both(rng.random(grid) < 0.2, axes)
     force = rng.normal(size=y.shape) * (m > 0)[..., None]
     problem = Problem(
-        y,
-        c,
-        m,
+        observed=y,
+        confidence=c,
+        stiffness=m,
         spacing=spacing,
         loads=Loads(force=force, growth=0.05 * rng.random(grid)),
         precision=rng.random(grid) * (rng.random(grid) < 0.1),
@@ -141,7 +149,9 @@ def test_the_coupling_is_the_gradient_of_its_energy_and_resists_gaps_only():
     away, inside, _ = turning(16, 5, 2)
     rest = np.zeros((16, 16, 2))
     labels = SlidingParts(inside.astype(int))
-    problem = Problem(rest, both(away > 7), np.ones(away.shape), sliding=labels)
+    problem = Problem(
+        observed=rest, confidence=both(away > 7), stiffness=np.ones(away.shape), sliding=labels
+    )
     parts, _ = unfolded(problem, ElasticPrior(0.3))
     between: Coupling = parts.coupling
     rng = np.random.default_rng(0)
@@ -162,7 +172,12 @@ def test_sliding_takes_at_most_twice_the_cycles_of_connected_tissue(contrast):
     held = both((away < 6) | (away > 31))
     m, y = np.where(inside, 1.0, contrast), np.where(inside[..., None], turn, 0.0)
     counts = [
-        len(solve(Problem(y, held, m, sliding=parts), backend="cpu").energy) - 1
+        len(
+            solve(
+                Problem(observed=y, confidence=held, stiffness=m, sliding=parts), backend="cpu"
+            ).energy
+        )
+        - 1
         for parts in (SlidingParts(inside.astype(int)), None)
     ]
     assert counts[0] <= 2 * counts[1]
@@ -172,7 +187,15 @@ def test_a_part_that_nothing_holds_is_named():
     depth = tilted(0, 40)[0]
     rest, parts = np.zeros((40, 40, 2)), SlidingParts((depth < 0).astype(int))
     with pytest.raises(ProblemError, match=r"around \(9, 19\).*slide or turn"):
-        solve(Problem(rest, both(depth > 15), np.ones(depth.shape), sliding=parts), backend="cpu")
+        solve(
+            Problem(
+                observed=rest,
+                confidence=both(depth > 15),
+                stiffness=np.ones(depth.shape),
+                sliding=parts,
+            ),
+            backend="cpu",
+        )
 
 
 def test_a_motion_that_depends_on_exact_normals_is_refused_unless_nothing_drives_it():
@@ -180,11 +203,16 @@ def test_a_motion_that_depends_on_exact_normals_is_refused_unless_nothing_drives
     m, held = np.ones(away.shape), both(away > 19)
     parts = SlidingParts(inside.astype(int))
     pushed = np.where(away[..., None] > 19, [1.0, 0.0], 0.0)
-    moved = solve(Problem(pushed, held, m, sliding=parts), backend="cpu").displacement
+    moved = solve(
+        Problem(observed=pushed, confidence=held, stiffness=m, sliding=parts), backend="cpu"
+    ).displacement
     assert moved == pytest.approx(np.broadcast_to([1.0, 0.0], moved.shape), abs=1e-3)
     twist = Loads(force=1e-5 * turn * inside[..., None])
     with pytest.raises(ProblemError, match=r"around \(19, 19\).*direction of the interface"):
-        solve(Problem(pushed, held, m, sliding=parts, loads=twist), backend="cpu")
+        solve(
+            Problem(observed=pushed, confidence=held, stiffness=m, sliding=parts, loads=twist),
+            backend="cpu",
+        )
 
 
 def test_parts_that_cannot_slide_are_refused_with_the_reason():
@@ -194,7 +222,7 @@ def test_parts_that_cannot_slide_are_refused_with_the_reason():
     held = both(labels < 2)
 
     def problem(c=held, m=one, sliding=parts, **more):
-        return Problem(rest, c, m, sliding=sliding, **more)
+        return Problem(observed=rest, confidence=c, stiffness=m, sliding=sliding, **more)
 
     with pytest.raises(ProblemError, match=r"shape \(10, 20\)"):
         problem(sliding=SlidingParts(labels[:10]))

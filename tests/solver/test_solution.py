@@ -52,7 +52,14 @@ def solution():
     tissue = np.hypot(rows - 10, cols - 12) < 9
     d[~tissue] = 0
     run = Provenance("cpu", "here")
-    return Solution(d, np.zeros(1), (), tissue, SIZE, run, elasticity=Elasticity(0.4))
+    elasticity = Elasticity(tissue.astype(np.float32), 0.4)
+    return Solution(d, np.zeros(1), (), tissue, SIZE, run, elasticity=elasticity)
+
+
+def test_the_displacement_cannot_be_changed_by_accident(solution):
+    with pytest.raises(ValueError, match="read-only"):
+        solution.displacement[0, 0] = 1
+    assert replace(solution, unit="mm").displacement is solution.displacement
 
 
 def test_methods_equal_the_functions_with_spacing_and_tissue(solution, tmp_path):

@@ -227,7 +227,7 @@ for spacing in ((1.0, 1.0), (1.0, 2.0)):
     y, c, m = np.zeros((200, 190, 2)), np.zeros((200, 190, 2)), np.ones((200, 190))
     c[0] = c[-1] = 1
     y[-1] = 3
-    problem = Problem(y, c, m, spacing=spacing)
+    problem = Problem(observed=y, confidence=c, stiffness=m, spacing=spacing)
     for prior in (SeilerPrior(), ElasticPrior(), ElasticPrior(penalty=0.02), ElasticPrior(0.4 * m)):
         optimizer = ICM(iterations=2) if isinstance(prior, SeilerPrior) else Multigrid()
         compute_thread.submit(

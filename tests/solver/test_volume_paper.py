@@ -44,7 +44,7 @@ def compressed_volume(shape=(8, 9, 7), ratio=10.0, spacing=CUBES, seed=0, void=F
     y[-1] = np.array([1.0, 0.5, -0.3]) * spacing
     some = draw.random((*shape, 3)) < 0.05
     c[some], y[some] = 0.5, draw.normal(size=some.sum())
-    return Problem(y, c, m, spacing=spacing)
+    return Problem(observed=y, confidence=c, stiffness=m, spacing=spacing)
 
 
 def error_in_voxels(found, problem):
@@ -223,7 +223,7 @@ def literal_schedule(problem, iterations, penalty):
             y, c, m = (np.concatenate([each, 0 * each]) for each in (y, c, m))
         here = np.zeros(y.shape) if above is None else projected(d, above, m)
         for _ in range(iterations):
-            on_level = Problem(y, np.maximum(c, NOWHERE), m)
+            on_level = Problem(observed=y, confidence=np.maximum(c, NOWHERE), stiffness=m)
             here, _, _ = best_candidate(on_level, SeilerPrior(penalty=penalty), here)
         if above is None:
             here, m = here[:1], m[:1]
@@ -407,7 +407,7 @@ def test_a_stiff_tumour_in_soft_tissue_is_solved_accurately(ratio):
     y, c = np.zeros((n, n, n, 3)), np.ones((n, n, n, 3))
     c[1:-1, 1:-1, 1:-1] = 0
     y[-1, ..., 0] = 1 - np.abs(places[-1, ..., 1])
-    problem = Problem(y, c, m)
+    problem = Problem(observed=y, confidence=c, stiffness=m)
     found = solve(problem, SeilerPrior(), optimizer=PRECISE)
     assert error_in_voxels(found, problem) <= found.convergence.error <= PRECISE.tolerance
 
@@ -425,7 +425,7 @@ def test_the_reported_error_is_a_bound_or_the_solve_fails(seed):
     y, c = np.zeros((*shape, 3)), np.zeros((*shape, 3))
     c[draw.random(shape) < 0.02] = c[0] = 1
     y[c > 0] = draw.normal(size=int(c.sum()))
-    problem = Problem(y, c, m)
+    problem = Problem(observed=y, confidence=c, stiffness=m)
     try:
         found = solve(problem, SeilerPrior(), optimizer=PRECISE)
     except ConvergenceError:
@@ -452,7 +452,12 @@ def test_a_uniform_strain_of_the_faces_extends_to_the_inside(spacing):
     strain = np.array([[0.02, -0.01, 0.03], [0.03, 0.015, 0.01], [-0.02, 0.01, 0.01]])
     c = np.ones((9, 8, 12, 3))
     c[1:-1, 1:-1, 1:-1] = 0
-    problem = Problem(places @ strain.T, c, np.full((9, 8, 12), 7.0), spacing=spacing)
+    problem = Problem(
+        observed=places @ strain.T,
+        confidence=c,
+        stiffness=np.full((9, 8, 12), 7.0),
+        spacing=spacing,
+    )
     found = solve(problem, SeilerPrior(), optimizer=Multigrid(1e-5))
     np.testing.assert_allclose(found.displacement, places @ strain.T, atol=2e-5)
     relaxed = solve(problem, SeilerPrior(), optimizer=CONVERGED)
@@ -471,7 +476,9 @@ def test_the_field_does_not_depend_on_the_order_of_the_axes(optimizer):
             each.transpose(*turn, 3)[..., turn] for each in (problem.observed, problem.confidence)
         )
         spacing = tuple(OBLONG[axis] for axis in turn)
-        turned = Problem(y, c, problem.stiffness.transpose(turn), spacing=spacing)
+        turned = Problem(
+            observed=y, confidence=c, stiffness=problem.stiffness.transpose(turn), spacing=spacing
+        )
         found = solve(turned, SeilerPrior(), optimizer=optimizer).displacement
         np.testing.assert_allclose(found, expected.transpose(*turn, 3)[..., turn], atol=2e-3)
 
@@ -486,7 +493,9 @@ def test_a_stack_of_equal_slices_moves_like_a_single_image(spacing):
     y[-1] = (0.5, 0.3)
     c[4, 5], y[4, 5] = 0.02, 2
     image = solve(
-        Problem(y, c, m, spacing=spacing), SeilerPrior(penalty=100.0), optimizer=Multigrid(1e-4)
+        Problem(observed=y, confidence=c, stiffness=m, spacing=spacing),
+        SeilerPrior(penalty=100.0),
+        optimizer=Multigrid(1e-4),
     )
     assert np.abs(image.displacement[4, 5] - 2).max() > 0.1  # the observation slips
     deep, sure = np.zeros((5, 9, 11, 3)), np.zeros((5, 9, 11, 3))
@@ -494,7 +503,12 @@ def test_a_stack_of_equal_slices_moves_like_a_single_image(spacing):
     # Sites of the outer slices have fewer cliques, so prescribe their displacement.
     sure[[0, -1], 4, 5] = 0
     deep[[0, -1], :, :, 1:], sure[[0, -1], :, :, 1:] = image.displacement, 1
-    stack = Problem(deep, sure, np.broadcast_to(m, (5, 9, 11)), spacing=(1.0, *spacing))
+    stack = Problem(
+        observed=deep,
+        confidence=sure,
+        stiffness=np.broadcast_to(m, (5, 9, 11)),
+        spacing=(1.0, *spacing),
+    )
     unit = stack.unit**2 / np.prod(spacing)  # ratio of the units of the penalty
     found = solve(stack, SeilerPrior(penalty=300.0 / unit), optimizer=Multigrid(1e-4))
     for each in found.displacement:
@@ -507,9 +521,9 @@ def test_the_field_depends_only_on_ratios_of_stiffness_and_lengths():
     for optimizer in (PRECISE, ICM(steps=None)):
         first = solve(problem, SeilerPrior(), optimizer=optimizer).displacement
         inches = Problem(
-            problem.observed / 25.4,
-            problem.confidence,
-            1000 * problem.stiffness,
+            observed=problem.observed / 25.4,
+            confidence=problem.confidence,
+            stiffness=1000 * problem.stiffness,
             spacing=tuple(size / 25.4 for size in OBLONG),
         )
         second = solve(inches, SeilerPrior(), optimizer=optimizer).displacement
@@ -521,7 +535,7 @@ def test_sweeps_and_cycles_converge_to_the_same_field():
     some = compressed_volume((10, 9, 8))
     m, c = some.stiffness.copy(), np.ones(some.observed.shape)
     m[4:6, 3:6, 3:5], c[1:-1, 1:-1, 1:-1] = 0, some.confidence[1:-1, 1:-1, 1:-1]
-    problem = Problem(some.observed, c, m)
+    problem = Problem(observed=some.observed, confidence=c, stiffness=m)
     relaxed = solve(problem, SeilerPrior(), optimizer=CONVERGED)
     found = solve(problem, SeilerPrior(), optimizer=Multigrid(1e-4))
     apart = np.abs(relaxed.displacement - found.displacement)[problem.tissue]
@@ -563,7 +577,7 @@ def test_a_warm_start_converges_to_the_same_field():
     problem = compressed_volume((16, 12, 14))
     y = problem.observed.copy()
     y[-1, 3:6, 3:6, 0] += 0.2
-    edited = Problem(y, problem.confidence, problem.stiffness)
+    edited = Problem(observed=y, confidence=problem.confidence, stiffness=problem.stiffness)
     cold = solve(edited, SeilerPrior(), optimizer=PRECISE)
     earlier = solve(problem, SeilerPrior(), optimizer=Multigrid(1e-4))
     warm = solve(edited, SeilerPrior(), optimizer=PRECISE, initial=earlier)
@@ -581,7 +595,7 @@ def test_the_smallest_volumes_are_solved():
     for shape in [(2, 2, 2), (3, 1, 1), (2, 3, 9), (1, 4, 5)]:
         c = np.zeros((*shape, 3))
         c[0] = 1
-        problem = Problem(c, c, np.ones(shape))
+        problem = Problem(observed=c, confidence=c, stiffness=np.ones(shape))
         for optimizer in (ICM(), PRECISE):
             found = solve(problem, SeilerPrior(), optimizer=optimizer)
             np.testing.assert_allclose(found.displacement[0], 1, atol=1e-3)
@@ -600,10 +614,17 @@ def test_unsupported_options_for_volumes_are_rejected():
     m = problem.stiffness.copy()
     m[3, 3, 3] = np.inf
     with pytest.raises(ProblemError, match="ratios of stiffness"):
-        solve(Problem(problem.observed, problem.confidence, m), SeilerPrior())
+        solve(
+            Problem(observed=problem.observed, confidence=problem.confidence, stiffness=m),
+            SeilerPrior(),
+        )
 
 
 def test_a_volume_without_a_certain_error_bound_raises_an_error():
     y, c, m, spacing, _ = random_volume(6)
     with pytest.raises(ConvergenceError, match="no factorization is available"):
-        solve(Problem(y, c, m, spacing=spacing), SeilerPrior(), optimizer=Multigrid(0.01))
+        solve(
+            Problem(observed=y, confidence=c, stiffness=m, spacing=spacing),
+            SeilerPrior(),
+            optimizer=Multigrid(0.01),
+        )

@@ -21,7 +21,12 @@ PATCH = (np.arange(96)[:, None, None] < 30) & (PROBLEM.confidence > 0)
 def moved_problem(by, sideways=0.0, c=PROBLEM.confidence, m=PROBLEM.stiffness, spacing=(1.0, 1.0)):
     """Return the problem with a patch moved further, in pixels along both axes."""
     step = np.array([by, sideways]) * spacing
-    return Problem(PROBLEM.observed * np.array(spacing) + step * PATCH, c, m, spacing=spacing)
+    return Problem(
+        observed=PROBLEM.observed * np.array(spacing) + step * PATCH,
+        confidence=c,
+        stiffness=m,
+        spacing=spacing,
+    )
 
 
 def accurate_solutions(backend="cpu", **about):
@@ -151,7 +156,9 @@ def test_copied_or_modified_solutions_are_not_trusted_as_a_warm_start():
     place = np.s_[30:36, 44:50]
     assert PROBLEM.tissue[place].all()
     assert not PROBLEM.known[place].any(), "the modified pixels should not be observed"
-    known[1].displacement[place] += 0.3
+    field = known[1].displacement.copy()
+    field[place] += 0.3
+    known[1] = replace(known[1], displacement=field)
     found = solve(moved_problem(2), PRIOR, optimizer=TOLERANT, backend="cpu", initial=known)
     assert found.iterations > 0
     exact = solve(moved_problem(2), PRIOR, optimizer=Multigrid(1e-5), backend="cpu")
@@ -203,10 +210,18 @@ def test_thin_tissue_that_is_no_longer_observed_returns_to_rest(prior):
     c[0], c[29] = 1, 1
     y[29, :, 0] = 0.5
     c[32:36, 5], y[32:36, 5] = 1, 2
-    before = solve(Problem(y, c, m), prior, optimizer=TOLERANT, backend="cpu")
+    before = solve(
+        Problem(observed=y, confidence=c, stiffness=m), prior, optimizer=TOLERANT, backend="cpu"
+    )
     assert (before.displacement[32:36, 5] == 2).all()
     c[32:36] = 0
-    after = solve(Problem(y, c, m), prior, optimizer=TOLERANT, backend="cpu", initial=before)
+    after = solve(
+        Problem(observed=y, confidence=c, stiffness=m),
+        prior,
+        optimizer=TOLERANT,
+        backend="cpu",
+        initial=before,
+    )
     assert (after.displacement[32:36] == 0).all()
     assert after.displacement[29, 0, 0] == pytest.approx(0.5, abs=1e-6)
 

@@ -101,7 +101,9 @@ def problem_of(state, prior, rendering=None):
     if isinstance(prior, ElasticPrior):
         prior = ElasticPrior(poisson_image(TISSUE, state["materials"]), penalty=prior.penalty)
     return Problem(
-        canvas.observed, canvas.confidence, stiffness_image(TISSUE, state["materials"])
+        observed=canvas.observed,
+        confidence=canvas.confidence,
+        stiffness=stiffness_image(TISSUE, state["materials"]),
     ), prior
 
 

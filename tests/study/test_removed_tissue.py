@@ -265,7 +265,13 @@ def test_a_removal_equals_a_problem_without_the_tissue():
     loads = weight(m, DOWN, spacing=SPACING) + cavity(
         m, DISC, spacing=SPACING, pressure=0.02, fluid=DOWN, level=0.7
     )
-    known = Problem(stated.observed, stated.confidence, m, spacing=SPACING, loads=loads)
+    known = Problem(
+        observed=stated.observed,
+        confidence=stated.confidence,
+        stiffness=m,
+        spacing=SPACING,
+        loads=loads,
+    )
     np.testing.assert_allclose(
         solve_study(given).displacement,
         solve(known, ElasticPrior(0.45)).displacement,

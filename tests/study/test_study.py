@@ -100,7 +100,9 @@ def test_a_study_of_arrays_equals_the_problem_of_the_same_arrays():
     counts[5:9, 3:6], counts[:, -1] = 1, 1
     stiffness = np.full(SHAPE, 4.0)
     study = Study(GRID, Tissue(stiffness=stiffness), Motion(observed=observed, confidence=counts))
-    problem = Problem(observed, counts, stiffness, spacing=GRID.spacing)
+    problem = Problem(
+        observed=observed, confidence=counts, stiffness=stiffness, spacing=GRID.spacing
+    )
     own = build_problem(study).problem
     for name in ("observed", "confidence", "stiffness"):
         np.testing.assert_array_equal(getattr(own, name), getattr(problem, name))

@@ -52,8 +52,13 @@ def study(*materials, labels=LABELS, model="elastic", **motion):
 
 def with_loads(problem, loads):
     """Return the problem with its loads replaced."""
-    given = problem.observed, problem.confidence, problem.stiffness
-    return Problem(*given, spacing=problem.spacing, loads=loads)
+    return Problem(
+        observed=problem.observed,
+        confidence=problem.confidence,
+        stiffness=problem.stiffness,
+        spacing=problem.spacing,
+        loads=loads,
+    )
 
 
 @pytest.mark.parametrize("model", ["elastic", "large motion"])
@@ -208,8 +213,8 @@ def test_the_support_of_a_block_bears_its_weight():
     block, table = np.full((10, 16), 1.0), np.zeros((10, 16, 2))
     table[-1] = 1
     heavy = weight(block, (0.02, 0.0), spacing=1)
-    problem = Problem(0 * table, table, block, loads=heavy)
-    (part,) = held_forces(problem, solve(problem), ElasticPrior())
+    problem = Problem(observed=0 * table, confidence=table, stiffness=block, loads=heavy)
+    (part,) = held_forces(problem, solve(problem))
     assert not part.moves
     assert part.sites == 16
     assert part.centre == (9.0, 7.5)
@@ -220,8 +225,8 @@ def test_pulled_and_fixed_regions_have_opposite_forces():
     y, c = np.zeros((2, 12, 20, 2))
     c[:, 0] = c[4:8, -1] = 1
     y[4:8, -1, 1] = 1.0
-    problem = Problem(y, c, np.ones((12, 20)))
-    pulled, held = held_forces(problem, solve(problem), ElasticPrior())
+    problem = Problem(observed=y, confidence=c, stiffness=np.ones((12, 20)))
+    pulled, held = held_forces(problem, solve(problem))
     assert (pulled.moves, held.moves) == (True, False)
     assert pulled.force[1] > 0.1
     np.testing.assert_allclose(np.add(pulled.force, held.force), 0, atol=2e-3)

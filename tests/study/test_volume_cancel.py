@@ -200,7 +200,9 @@ def problems(shape=(12, 10, 9)):
     y[-1] = 1
     more = c.copy()
     more[:, :, :3] = 1
-    return Problem(y, more, np.ones(shape)), Problem(y, c, np.ones(shape))
+    return Problem(observed=y, confidence=more, stiffness=np.ones(shape)), Problem(
+        observed=y, confidence=c, stiffness=np.ones(shape)
+    )
 
 
 def test_a_cancelled_solve_does_not_affect_the_next_solve():

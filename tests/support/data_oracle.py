@@ -98,9 +98,9 @@ def posterior_mean_with_drift(problem, prior) -> tuple[np.ndarray, np.ndarray]:
     def load_of(growth, force=None):
         loads = Loads(growth=growth, force=force)
         other = Problem(
-            problem.observed,
-            problem.confidence,
-            problem.stiffness,
+            observed=problem.observed,
+            confidence=problem.confidence,
+            stiffness=problem.stiffness,
             spacing=problem.spacing,
             precision=problem.precision,
             landmarks=marks,

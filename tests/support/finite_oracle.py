@@ -20,7 +20,7 @@ def bar(height: int, width: int, end: Field, m: npt.ArrayLike = 1.0) -> Problem:
     c[:, 0] = c[:, -1] = 1
     y = np.zeros_like(c)
     y[:, -1] = end
-    return Problem(y, c, np.broadcast_to(m, (height, width)))
+    return Problem(observed=y, confidence=c, stiffness=np.broadcast_to(m, (height, width)))
 
 
 def turned(height: int, width: int, degrees: float) -> Field:

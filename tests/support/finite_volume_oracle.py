@@ -43,7 +43,11 @@ def framed_volume(size: int, inside: npt.NDArray[np.bool_], y: Field) -> Problem
     c = np.ones((size, size, size, 3))
     middle = (slice(1, -1),) * 3
     c[middle] = inside[middle][..., None]
-    return Problem(np.where(inside[..., None], y, 0.0), c, np.ones((size, size, size)))
+    return Problem(
+        observed=np.where(inside[..., None], y, 0.0),
+        confidence=c,
+        stiffness=np.ones((size, size, size)),
+    )
 
 
 def growing_ball(size: int, factor: float) -> Problem:
@@ -52,7 +56,12 @@ def growing_ball(size: int, factor: float) -> Problem:
     ball = np.linalg.norm(around, axis=0) <= size / 8
     still = framed_volume(size, np.zeros_like(ball), np.zeros((*ball.shape, 3)))
     growth = Loads(growth=np.where(ball, factor - 1, 0.0))
-    return Problem(still.observed, still.confidence, still.stiffness, loads=growth)
+    return Problem(
+        observed=still.observed,
+        confidence=still.confidence,
+        stiffness=still.stiffness,
+        loads=growth,
+    )
 
 
 def solved(problem: Problem, poisson: float, parts: int = 8, locking: bool = False) -> Field:

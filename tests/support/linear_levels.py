@@ -52,7 +52,10 @@ def random_example(shape, prior, spacing=(1.0, 1.0), ratio=4.0) -> Example:
     m[(0,) * len(shape)] = 1
     sites = (*shape, len(shape))
     held = (random.random(sites) < 0.1) & (m > 0)[..., None]
-    return Example(Problem(random.normal(size=sites), held, m, spacing=spacing), prior)
+    return Example(
+        Problem(observed=random.normal(size=sites), confidence=held, stiffness=m, spacing=spacing),
+        prior,
+    )
 
 
 def with_levels(stage, given: Example, job, number=0):
@@ -182,7 +185,7 @@ def torn(ratio, shape=(45, 61), spacing=(1.0, 1.0)) -> Problem:
     y, c = np.zeros((*shape, 2)), np.zeros((*shape, 2))
     c[:, :2] = c[:, -2:] = 1
     y[:, -2:] = (1.5, 4)
-    return Problem(y * spacing, c, m, spacing=spacing)
+    return Problem(observed=y * spacing, confidence=c, stiffness=m, spacing=spacing)
 
 
 def cycles(stage, given: Example, smoothing):

@@ -12,7 +12,7 @@ def frame_problem(shape, seed=0, ratio=4.0, amplitude=2.0, spacing=(1.0, 1.0)) -
     y = rng.normal(scale=amplitude, size=(*shape, 2))
     c = np.zeros((*shape, 2))
     c[0] = c[-1] = c[:, 0] = c[:, -1] = 1
-    return Problem(y, c, m, spacing=spacing)
+    return Problem(observed=y, confidence=c, stiffness=m, spacing=spacing)
 
 
 def pulled_problem(vector=(2.0, -1.0), at=(10, 8), stiff=30.0, size=20, radius=2.5) -> Problem:
@@ -25,4 +25,4 @@ def pulled_problem(vector=(2.0, -1.0), at=(10, 8), stiff=30.0, size=20, radius=2
     rows, cols = np.indices((size, size))
     patch = np.hypot(rows - at[0], cols - at[1]) <= radius
     y[patch], c[patch] = vector, 1
-    return Problem(y, c, m)
+    return Problem(observed=y, confidence=c, stiffness=m)

@@ -15,7 +15,9 @@ def slipped(y, c, m, painted, spacing=1.0):
     data = sliding_precision(m, painted, spacing=spacing)
     spacing = np.broadcast_to(spacing, m.ndim).tolist()
     solution = solve(
-        Problem(y, c, m, precision=data, spacing=spacing), ElasticPrior(0.3), backend="cpu"
+        Problem(observed=y, confidence=c, stiffness=m, precision=data, spacing=spacing),
+        ElasticPrior(0.3),
+        backend="cpu",
     )
     return surface, solution.displacement[surface.sites]
 

@@ -39,10 +39,16 @@ def test_pieces_that_could_rotate_or_translate_are_excluded():
     assert left_at_rest(found).startswith(
         "2 pieces of tissue with too few constraints stay at rest"
     )
-    solution = solve(Problem(0.0 * held, 1.0 * held, 1.0 * (tissue & ~found)), ElasticPrior())
+    solution = solve(
+        Problem(observed=0.0 * held, confidence=1.0 * held, stiffness=1.0 * (tissue & ~found)),
+        ElasticPrior(),
+    )
     assert not solution.displacement.any()
     with pytest.raises(ProblemError, match="free"):
-        solve(Problem(0.0 * held, 1.0 * held, 1.0 * tissue), ElasticPrior())
+        solve(
+            Problem(observed=0.0 * held, confidence=1.0 * held, stiffness=1.0 * tissue),
+            ElasticPrior(),
+        )
 
 
 def test_a_large_piece_with_few_observations_is_not_excluded():

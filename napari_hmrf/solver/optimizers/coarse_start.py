@@ -44,7 +44,10 @@ def coarse_problem(problem: Problem, prior: NeoHookeanPrior) -> tuple[Problem, N
         known, values = _injected(problem.known[..., axis], problem.observed[..., axis])
         observed[..., axis], confidence[..., axis] = values, known
     coarse = Problem(
-        observed, confidence, stiffness, spacing=tuple(2 * size for size in problem.spacing)
+        observed=observed,
+        confidence=confidence,
+        stiffness=stiffness,
+        spacing=tuple(2 * size for size in problem.spacing),
     )
     if np.ndim(prior.poisson):
         ratios = np.asarray(prior.poisson, dtype=np.float64)

@@ -13,7 +13,6 @@ from napari_hmrf.layers.compat import sight_of
 from napari_hmrf.layers.field_layer import place_at
 from napari_hmrf.layers.line_of_sight import LineOfSight, cut_of
 from napari_hmrf.layers.metadata import tissue_recorded
-from napari_hmrf.layers.result_layers import stiffness_unit
 from napari_hmrf.layers.screen_directions import directions_of
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.tissue.boundary_rules import RIGID, stiffness_in_words
@@ -112,6 +111,12 @@ class UnderCursor:
                 strain = float(overlay.picture[probe.site])
                 is_fold = bool(np.isinf(strain))
                 more.insert(0, f"{title}: folded" if is_fold else f"{title} {rounded(strain):g} %")
+            elif overlay.name in ("von_mises", "pressure"):
+                stress = float(overlay.picture[probe.site])
+                if np.isfinite(stress):
+                    more.insert(
+                        0, f"{title} {stress:.3g}{'' if unit == 'relative' else f' {unit}'}"
+                    )
         percent = 0 if shown.layers.is_before else shown.percent
         problem = answer.problem
         # Tissue is free if any of its components is free.
@@ -156,7 +161,7 @@ def _stiffness(shown: MovingLayers, probe: Probe) -> str:
     answer = shown.answer
     if answer.problem is None:
         return ""
-    value, unit = answer.problem.stiffness[probe.site], stiffness_unit(answer)
+    value, unit = answer.problem.stiffness[probe.site], answer.solution.stress_unit
     labels, rows = answer.pictures.labels, tissue_recorded(shown.arrows)[0] or ()
     # A brush may have painted a tissue that differs from the label.
     same = [row for row in rows if np.float32(row.stiffness) == value]

@@ -24,7 +24,7 @@ from napari_hmrf.io.tables import forces_in_words, measurements_in_words, write_
 from napari_hmrf.layers.field_layer import MOVED, can_move, picture_of, prepare_move, tissue_labels
 from napari_hmrf.layers.film_colours import film_overlay
 from napari_hmrf.layers.metadata import TISSUE, metadata_of, rows_of, tissue_recorded
-from napari_hmrf.layers.result_layers import LayerData, stiffness_unit
+from napari_hmrf.layers.result_layers import LayerData
 from napari_hmrf.layers.screen_directions import directions_of
 from napari_hmrf.layers.slice_view import View, plane_shown
 from napari_hmrf.layers.viewer_layers import same_selection
@@ -351,7 +351,7 @@ class ResultMenu:
         answer = self._shown.answer
         if answer.forces is None:
             raise HmrfError(NO_FORCES)
-        ways, stiffness = directions_of(answer.frame, self._viewer), stiffness_unit(answer)
+        ways, stiffness = directions_of(answer.frame, self._viewer), answer.solution.stress_unit
 
         def show(rows: tuple[HeldForce, ...]) -> None:
             words = forces_in_words(rows, ways, stiffness, answer.unit)

@@ -54,6 +54,8 @@ _ABOUT: dict[Name, str] = {
     "rows": "strain: {rows}",
     "columns": "strain: {columns}",
     "shear": "strain: shear",
+    "von_mises": "stress: von Mises",
+    "pressure": "stress: pressure",
     "grid": "grid",
     "labels": "tissue labels",
     "difference": "difference from known field ({unit})",
@@ -71,6 +73,7 @@ _FROM_A_FILE = (
 #: Reasons why a requested overlay may be empty.
 LACKING: dict[Name, str] = {
     "labels": "This result has no tissue labels.",
+    **dict.fromkeys(("von_mises", "pressure"), "Stress needs the elastic model or large motion."),
     "folds": "The tissue does not fold.",
     "overlaps": "No part of the tissue has moved onto another part.",
     **dict.fromkeys(("stiffness", "observed", "confidence"), _FROM_A_FILE),

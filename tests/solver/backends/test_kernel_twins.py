@@ -96,7 +96,7 @@ def example(shape, ratio=4.0, spacing=(1.0, 1.0), seed=0) -> Example:
     seen[0, 0] = True
     c = random.random((*shape, 2)) * seen
     y = random.normal(size=(*shape, 2)) * np.sqrt(np.prod(spacing))
-    problem = Problem(y, c, m, spacing=spacing)
+    problem = Problem(observed=y, confidence=c, stiffness=m, spacing=spacing)
     d = random.normal(size=(*shape, 2)).astype(np.float32)
     d[~problem.tissue] = 0
     return Example(problem, d)
@@ -304,8 +304,14 @@ def test_void_contains_no_values_of_earlier_solves(stage):
     # Only tissue is drawn, so earlier values of a texture must be ignored.
     rows, cols = np.mgrid[:70, :50]
     disc = np.hypot(rows - 35, cols - 25) < 20
-    full = Problem(np.ones((70, 50, 2)), np.ones((70, 50, 2)) * disc[..., None], np.ones((70, 50)))
-    body = Problem(full.observed, full.confidence, np.where(disc, 2.0, 0))
+    full = Problem(
+        observed=np.ones((70, 50, 2)),
+        confidence=np.ones((70, 50, 2)) * disc[..., None],
+        stiffness=np.ones((70, 50)),
+    )
+    body = Problem(
+        observed=full.observed, confidence=full.confidence, stiffness=np.where(disc, 2.0, 0)
+    )
     expected = solve(body, SeilerPrior(), backend="cpu")
     for problem in (full, body):
         found = solve(problem, SeilerPrior(), backend=f"opengl:{stage}")
@@ -326,7 +332,7 @@ def test_two_problems_on_one_grid_do_not_interfere(stage):
         backend = OpenGLBackend(lambda: None, stage)
         try:
             for m in stiffnesses:
-                problem = Problem(pull, held, m)
+                problem = Problem(observed=pull, confidence=held, stiffness=m)
                 outcome = schedule.run(problem, SeilerPrior(), backend, lambda _: None)
             return outcome
         finally:

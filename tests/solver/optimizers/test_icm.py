@@ -27,7 +27,7 @@ def bar(length, ratio, width=5):
     c[:, [0, -1]] = 1
     c[[0, -1], :, 0] = 1  # prevent the sides from bulging
     y[:, -1, 1] = length / 10
-    return Problem(y, c, m)
+    return Problem(observed=y, confidence=c, stiffness=m)
 
 
 @pytest.mark.parametrize("conditional", ["centred", "blanket"])
@@ -41,7 +41,9 @@ def test_a_sweep_moves_each_site_to_its_best_candidate(conditional):
         moves += [(i * e, j * e) for i, j in itertools.product((0, 1, -1), repeat=2) if i or j]
     for _ in range(8):
         m = rng.choice([10.0, 20, 40], size=shape)
-        problem = Problem(rng.normal(size=(*shape, 2)), rng.random((*shape, 2)), m)
+        problem = Problem(
+            observed=rng.normal(size=(*shape, 2)), confidence=rng.random((*shape, 2)), stiffness=m
+        )
         prior = SeilerPrior(penalty=2.0, conditional=conditional, damping=1.0)
         before = solve(problem, prior, optimizer=ICM(iterations=1, steps=steps), backend="cpu")
         start = coarse_start(problem, prior, steps)
@@ -58,7 +60,11 @@ def coarse_start(problem, prior, steps):
     at = np.ix_(
         *[[min(2 * i + 1, size - 1) for i in range(-(-size // 2))] for size in finest.shape]
     )
-    coarse = Problem(problem.observed[at], problem.confidence[at], problem.stiffness[at])
+    coarse = Problem(
+        observed=problem.observed[at],
+        confidence=problem.confidence[at],
+        stiffness=problem.stiffness[at],
+    )
     assert coarse.shape == coarser[0].shape
     d = solve(coarse, prior, optimizer=ICM(iterations=1, steps=steps), backend="cpu").displacement
     start = np.zeros((*problem.shape, 2))
@@ -100,7 +106,7 @@ def test_the_converged_field_is_exact_beside_void():
     m = np.where(r < 17, 10.0 * 2 ** rng.integers(0, 3, shape), 0)
     ring = (r >= 14) & (r < 17)
     y = np.stack([(i - 21) / 10, (j - 19) / 15], axis=-1) * ring[..., None]
-    problem = Problem(y, np.repeat(ring[..., None], 2, -1), m)
+    problem = Problem(observed=y, confidence=np.repeat(ring[..., None], 2, -1), stiffness=m)
     solution = solve(
         problem, SeilerPrior(), optimizer=ICM(iterations=20000, steps=None), backend="cpu"
     )
@@ -134,7 +140,9 @@ def test_uniform_tissue_with_an_affine_border_moves_affinely():
     c = np.zeros((40, 33, 2))
     c[0] = c[-1] = c[:, 0] = c[:, -1] = 1
     for spacing in [(1, 1), (0.5, 1.5)]:
-        problem = Problem(affine, c, np.ones((40, 33)), spacing=spacing)
+        problem = Problem(
+            observed=affine, confidence=c, stiffness=np.ones((40, 33)), spacing=spacing
+        )
         found = solve(problem, SeilerPrior(), optimizer=CONVERGED, backend="cpu").displacement
         assert np.abs(found - affine).max() < 2e-3
 
@@ -149,7 +157,9 @@ def test_nothing_moves_when_the_boundary_is_fixed():
 
 def test_the_field_depends_only_on_ratios_of_stiffness():
     problem = frame_problem((33, 20))
-    scaled = Problem(problem.observed, problem.confidence, problem.stiffness * 1024)
+    scaled = Problem(
+        observed=problem.observed, confidence=problem.confidence, stiffness=problem.stiffness * 1024
+    )
     first = solve(problem, SeilerPrior(), optimizer=ICM(steps=None), backend="cpu").displacement
     second = solve(scaled, SeilerPrior(), optimizer=ICM(steps=None), backend="cpu").displacement
     np.testing.assert_allclose(first, second, atol=1e-5)
@@ -158,7 +168,10 @@ def test_the_field_depends_only_on_ratios_of_stiffness():
 def test_the_unit_of_length_does_not_matter():
     problem = frame_problem((24, 30), spacing=(1, 2))
     inches = Problem(
-        problem.observed / 25.4, problem.confidence, problem.stiffness, spacing=(1 / 25.4, 2 / 25.4)
+        observed=problem.observed / 25.4,
+        confidence=problem.confidence,
+        stiffness=problem.stiffness,
+        spacing=(1 / 25.4, 2 / 25.4),
     )
     first = solve(problem, SeilerPrior(), optimizer=ICM(steps=None), backend="cpu")
     second = solve(inches, SeilerPrior(), optimizer=ICM(steps=None), backend="cpu")
@@ -171,7 +184,9 @@ def test_mirrored_tissue_has_the_mirrored_displacement(shape):
     # Powers of two: the quadtree itself is not symmetric on other grids.
     problem = frame_problem(shape)
     sides = Problem(
-        problem.observed[:, ::-1] * (1, -1), problem.confidence[:, ::-1], problem.stiffness[:, ::-1]
+        observed=problem.observed[:, ::-1] * (1, -1),
+        confidence=problem.confidence[:, ::-1],
+        stiffness=problem.stiffness[:, ::-1],
     )
     first = solve(problem, SeilerPrior(), optimizer=CONVERGED, backend="cpu").displacement
     second = solve(sides, SeilerPrior(), optimizer=CONVERGED, backend="cpu").displacement[
@@ -190,7 +205,7 @@ def test_higher_confidence_brings_tissue_closer_to_its_observation():
         y = np.zeros((*shape, 2))
         y[8, 8] = (0, 2)
         prior = SeilerPrior(penalty=100)
-        problem = Problem(y, c, np.ones(shape))
+        problem = Problem(observed=y, confidence=c, stiffness=np.ones(shape))
         found = solve(problem, prior, optimizer=CONVERGED, backend="cpu").displacement
         off.append(2 - found[8, 8, 1])
         assert found[8, 8, 0] == pytest.approx(0, abs=1e-4)
@@ -265,7 +280,12 @@ def test_a_thin_plate_of_any_stiffness_reaches_its_prescribed_position(ratio, op
     c[[0, -1]] = c[:, [0, -1]] = 1
     c[20:44, 32] = 1
     y[20:44, 32, 1] = 8
-    found = solve(Problem(y, c, m), SeilerPrior(), optimizer=optimizer, backend="cpu").displacement
+    found = solve(
+        Problem(observed=y, confidence=c, stiffness=m),
+        SeilerPrior(),
+        optimizer=optimizer,
+        backend="cpu",
+    ).displacement
     np.testing.assert_allclose(found[20:44, 32, 1], 8, atol=0.002)
 
 
@@ -290,7 +310,7 @@ def test_tissue_never_moves_further_than_its_largest_observation(
     c = (rng.random((height, width, 2)) < 0.3).astype(float)
     m[0, 0], c[0, 0] = 1, 1
     y = rng.normal(size=(height, width, 2))
-    problem = Problem(y, c, m)
+    problem = Problem(observed=y, confidence=c, stiffness=m)
     found = solve(
         problem, SeilerPrior(), optimizer=ICM(iterations=20, steps=None), backend="cpu"
     ).displacement.copy()

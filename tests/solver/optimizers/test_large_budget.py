@@ -41,7 +41,7 @@ def dragged(size: int = 96) -> Problem:
     c, y = np.zeros((2, size, size, 2))
     c[[0, -1]] = c[:, [0, -1]] = 1
     c[disc], y[disc] = 1, (0, size / 3)
-    return Problem(y, c, np.ones((size, size)))
+    return Problem(observed=y, confidence=c, stiffness=np.ones((size, size)))
 
 
 def within(budget: float | None, initial: Solution | None = None) -> Solution:
@@ -80,7 +80,9 @@ def test_the_progress_of_a_solve_with_growth_or_a_far_pull_never_decreases(exact
     grown[8:16, 8:16] = 4
     frame = np.ones((24, 24, 2))
     frame[1:-1, 1:-1] = 0
-    crowded = Problem(0 * frame, frame, np.ones((24, 24)), loads=growth(grown))
+    crowded = Problem(
+        observed=0 * frame, confidence=frame, stiffness=np.ones((24, 24)), loads=growth(grown)
+    )
     for problem in dragged(), crowded:
         done: list[float] = []
         solve(
@@ -117,7 +119,9 @@ def test_a_live_solve_shows_how_far_it_got_until_it_is_done(exact_budget, monkey
 def test_a_pull_that_was_not_completed_is_no_start_for_another_pull(exact_budget):
     updates: list[Update] = []
     other = np.array(dragged().observed)[:, ::-1] * (1, -1)
-    mirrored = Problem(other, dragged().confidence[:, ::-1], np.ones((96, 96)))
+    mirrored = Problem(
+        observed=other, confidence=dragged().confidence[:, ::-1], stiffness=np.ones((96, 96))
+    )
     with LiveSolver(updates.append, PRIOR, backend="cpu") as live:
         live.optimizer = Multigrid(0.01, budget=5)
         for problem in dragged(), mirrored:
@@ -206,7 +210,9 @@ def test_thin_tissue_and_thin_observations_are_on_the_coarser_grid():
     m[21, :] = 4
     c[21, 41], y[21, 41] = 1, (0, 6)
     c[:, 7] = 1
-    coarse, prior = coarse_problem(Problem(y, c, m, spacing=(2, 3)), NeoHookeanPrior(m * 0.1))
+    coarse, prior = coarse_problem(
+        Problem(observed=y, confidence=c, stiffness=m, spacing=(2, 3)), NeoHookeanPrior(m * 0.1)
+    )
     assert coarse.spacing == (4, 6)
     assert (coarse.stiffness > 0)[:, -1].sum() >= 1
     assert coarse.observed[..., 1].max() == 6

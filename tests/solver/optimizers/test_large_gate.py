@@ -29,7 +29,7 @@ def dragged(way: float, spacing: tuple[float, float] = (1.0, 1.0)) -> Problem:
     c[[0, -1]] = c[:, [0, -1]] = 1
     c[disc], y[disc] = 1, (0, way)
     m = np.where(abs(row - col / 2) < 2, 2000.0, 1.0)
-    return Problem(y * np.array(spacing), c, m, spacing=spacing)
+    return Problem(observed=y * np.array(spacing), confidence=c, stiffness=m, spacing=spacing)
 
 
 def crushed(phase: float) -> Problem:
@@ -41,7 +41,9 @@ def crushed(phase: float) -> Problem:
     c[disc], y[disc] = 1, (-4.0, -40.0)
     m = np.where(abs(row - 6 - 3.36 * np.sin(0.35 * col + phase)) < 2.5, 2000.0, 1.0)
     grows = np.hypot(row - 5.5, col - 14) < 5.5
-    return Problem(y, c, m, spacing=(0.5, 2.0), loads=growth(3.0 * grows))
+    return Problem(
+        observed=y, confidence=c, stiffness=m, spacing=(0.5, 2.0), loads=growth(3.0 * grows)
+    )
 
 
 def model_of(problem: Problem) -> CpuFiniteModel:
@@ -58,7 +60,9 @@ def squeezed(left: float, pushed: float) -> np.ndarray:
 
 
 def test_a_corner_whose_jacobian_first_rises_still_limits_the_step() -> None:
-    problem = Problem(np.zeros((2, 2, 2)), np.ones((2, 2, 2)), np.ones((2, 2)))
+    problem = Problem(
+        observed=np.zeros((2, 2, 2)), confidence=np.ones((2, 2, 2)), stiffness=np.ones((2, 2))
+    )
     model, d, way = model_of(problem), squeezed(1e-6, 0.0), np.zeros((2, 2, 2))
     way[:, 1, 1] = 1e-3  # makes the element wider
     way[1, :, 0] = -1.0  # and flatter: J = (1 - t) (1e-6 + 1e-3 t)
@@ -96,7 +100,9 @@ def test_the_last_valid_field_is_returned_after_a_step_to_nan(monkeypatch) -> No
 
 
 def test_the_field_has_double_precision_if_single_precision_would_fold() -> None:
-    problem = Problem(np.zeros((2, 2, 2)), np.ones((2, 2, 2)), np.ones((2, 2)))
+    problem = Problem(
+        observed=np.zeros((2, 2, 2)), confidence=np.ones((2, 2, 2)), stiffness=np.ones((2, 2))
+    )
     model, far = model_of(problem), squeezed(1e-6, 100.3)
     assert not least_corner(problem, far.astype(np.float32)) > 0, (
         "single precision resolves the field"
@@ -112,7 +118,9 @@ def test_the_field_has_double_precision_if_single_precision_would_fold() -> None
 
 @pytest.mark.parametrize("left", [-0.1, 0.0, math.nan])
 def test_a_folded_result_raises_an_error(left) -> None:
-    problem = Problem(np.zeros((2, 2, 2)), np.ones((2, 2, 2)), np.ones((2, 2)))
+    problem = Problem(
+        observed=np.zeros((2, 2, 2)), confidence=np.ones((2, 2, 2)), stiffness=np.ones((2, 2))
+    )
     d = host.planes(squeezed(left, 0.0))
     with pytest.raises(ConvergenceError, match="crushed to nothing"):
         large_motion._returned(model_of(problem), problem, d, 1e-3)

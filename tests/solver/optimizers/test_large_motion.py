@@ -33,7 +33,7 @@ def dragged(size: int, radius: float, far: float) -> Problem:
     c[1:-1, 1:-1] = inside[1:-1, 1:-1, None]
     y = np.zeros_like(c)
     y[inside] = 0, far
-    return Problem(y, c, np.ones((size, size)))
+    return Problem(observed=y, confidence=c, stiffness=np.ones((size, size)))
 
 
 def jacobians_of(problem: Problem, solution: Solution) -> Field:
@@ -58,7 +58,7 @@ def test_forces_and_tangents_are_derivatives_of_the_energy(plane, grows) -> None
         pulls = np.array(loads.force)
         pulls[0, 0] = 0
         loads = Loads(growth=loads.growth, force=pulls)
-    problem = Problem(c, c, m, spacing=(1, 2), loads=loads)
+    problem = Problem(observed=c, confidence=c, stiffness=m, spacing=(1, 2), loads=loads)
     prior = NeoHookeanPrior(0.4, plane=plane)
     d, way = random.normal(size=(2, 6, 7, 2)) * 0.15 * problem.unit
     assert 0 < prior.corner_jacobians(problem, d).min() < 0.5, (
@@ -89,7 +89,10 @@ def test_the_compiled_energy_forces_and_tangents_match_the_prior() -> None:
     d = random.normal(size=c.shape) * 0.15
     grown = Loads(growth=random_loads(random, (40, 37)).growth)
     for plane, loads in (("stress", None), ("strain", None), ("stress", grown), ("strain", grown)):
-        problem, prior = Problem(c, c, m, loads=loads), NeoHookeanPrior(0.4, plane=plane)
+        problem, prior = (
+            Problem(observed=c, confidence=c, stiffness=m, loads=loads),
+            NeoHookeanPrior(0.4, plane=plane),
+        )
         model = CpuFiniteModel((40, 37))
         model.assemble(prior.material(problem))
         planes = host.planes(d)
@@ -162,7 +165,7 @@ def test_tissue_rotates_without_strain(spacing) -> None:
     y = x @ turn - x
     c = np.zeros_like(y)
     c[4:7, 4:6] = 1
-    problem = Problem(y, c, np.ones((20, 26)), spacing=spacing)
+    problem = Problem(observed=y, confidence=c, stiffness=np.ones((20, 26)), spacing=spacing)
     found = solve(problem, NeoHookeanPrior(), optimizer=Multigrid(1e-5), backend="cpu")
     assert np.abs(found.displacement - y).max() < 1e-3
     moved = x + found.displacement
@@ -188,7 +191,7 @@ def test_an_unreachable_prescribed_motion_is_followed_as_far_as_possible() -> No
     inside = np.zeros((32, 32), dtype=bool)
     inside[12:20, 6:14] = True
     c[inside], y[inside] = 1, (0, 30)
-    problem = Problem(y, c, np.ones((32, 32)))
+    problem = Problem(observed=y, confidence=c, stiffness=np.ones((32, 32)))
     found = solve(problem, NeoHookeanPrior(), backend="cpu")
     reach = found.reach
     assert jacobians_of(problem, found).min() > 0
@@ -205,7 +208,9 @@ def test_a_drag_starts_from_the_last_fields() -> None:
     for far in (8, 10, 12):
         y = base.copy()
         y[moved, 1] = far
-        problem = Problem(y, dragged(48, 4, 6).confidence, np.ones((48, 48)))
+        problem = Problem(
+            observed=y, confidence=dragged(48, 4, 6).confidence, stiffness=np.ones((48, 48))
+        )
         live, last = Multigrid(0.01), frames[:3]
         found = solve(problem, NeoHookeanPrior(), optimizer=live, backend="cpu", initial=last)
         frames.insert(0, found)
@@ -232,7 +237,12 @@ def test_unsupported_problems_are_rejected_with_an_explanation() -> None:
     soft = bar(8, 8, np.zeros((8, 2)))
     shear = np.zeros((8, 8, 2, 2))
     shear[..., 0, 1] = shear[..., 1, 0] = 1.5
-    loaded = Problem(soft.observed, soft.confidence, soft.stiffness, loads=Loads(growth=shear))
+    loaded = Problem(
+        observed=soft.observed,
+        confidence=soft.confidence,
+        stiffness=soft.stiffness,
+        loads=Loads(growth=shear),
+    )
     with pytest.raises(ProblemError, match="shrinks tissue to nothing in some direction"):
         solve(loaded, NeoHookeanPrior())
     with pytest.raises(BackendError, match="loops solve large motion, not opengl"):
@@ -242,7 +252,7 @@ def test_unsupported_problems_are_rejected_with_an_explanation() -> None:
     c = np.zeros((8, 8, 2))
     c[:, 0] = 1
     with pytest.raises(ProblemError, match="free"):
-        solve(Problem(c, c, loose), NeoHookeanPrior())
+        solve(Problem(observed=c, confidence=c, stiffness=loose), NeoHookeanPrior())
 
 
 def test_the_reach_is_saved_with_the_solution(tmp_path) -> None:

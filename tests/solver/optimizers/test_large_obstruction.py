@@ -34,7 +34,7 @@ def pulled(size: int, arrows: Sequence[Arrow]) -> Problem:
         offsets = sites - np.reshape(centre, (ndim, *(1,) * ndim))
         at = np.linalg.norm(offsets, axis=0) <= radius
         c[at], y[at] = 1, motion
-    return Problem(y, c, np.ones(c.shape[:-1]))
+    return Problem(observed=y, confidence=c, stiffness=np.ones(c.shape[:-1]))
 
 
 def solved(problem: Problem, initial: Solution | None = None) -> Solution:
@@ -126,7 +126,7 @@ def test_a_region_that_folds_tissue_beyond_a_rigid_body_keeps_no_other_from_its_
     c, y, m = (np.array(a) for a in (problem.confidence, problem.observed, problem.stiffness))
     m[4:21, 5:20], m[8:17, 19:31] = 1000, np.inf
     c[8:17, 10:15], y[8:17, 10:15] = 1, (0, 16)
-    found = solved(Problem(y, c, m))
+    found = solved(Problem(observed=y, confidence=c, stiffness=m))
     assert found.reach.regions == (found.reach.where,)
     assert found.reach.sites == 45
     assert gap(arrow, found) < 0.01

@@ -30,7 +30,7 @@ def dragged(way: float, confidence: float = 1.0, **options: Any) -> Problem:
     c, y = np.zeros((2, SIZE, SIZE, 2))
     c[[0, -1]] = c[:, [0, -1]] = 1
     c[DISC], y[DISC] = confidence, (0, way)
-    return Problem(y, c, np.where(COL > 15, 4.0, 1.0), **options)
+    return Problem(observed=y, confidence=c, stiffness=np.where(COL > 15, 4.0, 1.0), **options)
 
 
 def total_energy(prior: NeoHookeanPrior, problem: Problem, d: npt.ArrayLike) -> float:
@@ -117,7 +117,11 @@ def test_slip_is_rejected_if_there_is_rigid_tissue() -> None:
     m = np.ones((8, 8))
     m[3:5, 3:5] = np.inf
     with pytest.raises(ProblemError, match="observations cannot slip"):
-        solve(Problem(0 * c, c, m), NeoHookeanPrior(penalty=1.0), backend="cpu")
+        solve(
+            Problem(observed=0 * c, confidence=c, stiffness=m),
+            NeoHookeanPrior(penalty=1.0),
+            backend="cpu",
+        )
 
 
 def test_exact_observations_are_tried_if_smoothing_the_kinks_fails(monkeypatch) -> None:
@@ -138,7 +142,7 @@ def test_exact_observations_are_tried_if_smoothing_the_kinks_fails(monkeypatch) 
     c[[0, -1]] = c[:, [0, -1]] = 1
     disc = np.hypot(row - 7.5, col - 9) < 3
     c[disc], y[disc] = 0.6, (4 / 3, 4.0)
-    problem = Problem(y, c, np.where(col > 12, 500.0, 1.0))
+    problem = Problem(observed=y, confidence=c, stiffness=np.where(col > 12, 500.0, 1.0))
     prior = NeoHookeanPrior(0.49, plane="strain", penalty=10.0)
     found = solve(problem, prior, backend="cpu")
     assert failed, "the smoothed energy converged, so this problem tests nothing"

@@ -44,7 +44,7 @@ def random_volume(
     strain = random.normal(size=(*shape, 3, 3)) * 0.1
     loads = Loads(growth=strain + strain.swapaxes(-1, -2)) if grows else None
     c = np.ones((*shape, 3))
-    return Problem(c, c, m, spacing=(1.0, 1.3, 0.8), loads=loads)
+    return Problem(observed=c, confidence=c, stiffness=m, spacing=(1.0, 1.3, 0.8), loads=loads)
 
 
 def pulled_patch(size: int, far: float) -> Problem:
@@ -163,7 +163,7 @@ def test_large_motion_of_a_volume_matches_an_independent_newton_solve(poisson) -
     c[0] = c[-1] = 1
     m = np.ones((size, size, size))
     m[2:5, 2:5, 2:5] = 4
-    problem = Problem(end, c, m)
+    problem = Problem(observed=end, confidence=c, stiffness=m)
     found = solve(problem, NeoHookeanPrior(poisson), backend="cpu").displacement
     assert np.abs(found - solved(problem, poisson)).max() < 0.002
 
@@ -182,10 +182,10 @@ def test_a_slab_in_plane_strain_moves_like_an_image() -> None:
     c[:, 0] = c[:, -1] = 1
     y = np.zeros_like(c)
     y[:, -1] = 4.0, 3.0
-    image = Problem(y, c, np.ones((size, size)))
+    image = Problem(observed=y, confidence=c, stiffness=np.ones((size, size)))
     deep_c, deep_y = np.zeros((2, 3, size, size, 3))
     deep_c[..., 0], deep_c[..., 1:], deep_y[..., 1:] = 1, c, y
-    slab = Problem(deep_y, deep_c, np.ones((3, size, size)))
+    slab = Problem(observed=deep_y, confidence=deep_c, stiffness=np.ones((3, size, size)))
     exactly = Multigrid(1e-5)
     strained = NeoHookeanPrior(0.3, plane="strain")
     flat = solve(image, strained, optimizer=exactly, backend="cpu").displacement
@@ -233,7 +233,7 @@ def test_a_rigid_cube_can_rotate_by_45_degrees() -> None:
     inside = np.zeros(m.shape, dtype=np.bool_)
     inside[bone] = True
     framed = framed_volume(size, inside, turned.reshape(places.shape) - places)
-    problem = Problem(framed.observed, framed.confidence, m)
+    problem = Problem(observed=framed.observed, confidence=framed.confidence, stiffness=m)
     solution = solve(problem, NeoHookeanPrior(0.3), backend="cpu")
     assert smallest_jacobian(solution.displacement) > 0
     np.testing.assert_allclose(solution.displacement[bone], problem.observed[bone], atol=1e-3)
@@ -248,7 +248,7 @@ def test_a_rigid_cube_that_is_held_at_one_site_rotates_with_its_surroundings() -
     c = np.ones((*m.shape, 3))
     c[1:-1, 1:-1, 1:-1] = 0
     c[5, 5, 5] = 1
-    problem = Problem(turned - places, c, m)
+    problem = Problem(observed=turned - places, confidence=c, stiffness=m)
     solution = solve(problem, NeoHookeanPrior(0.3), backend="cpu")
     np.testing.assert_allclose(solution.displacement, turned - places, atol=2e-3)
 
@@ -261,7 +261,9 @@ def test_forces_and_slipping_observations_are_in_equilibrium() -> None:
     c = np.zeros_like(force)
     c[0] = 1
     m = random.uniform(1, 2, (size, size, size))
-    problem = Problem(np.zeros_like(c), c, m, loads=Loads(force=force))
+    problem = Problem(
+        observed=np.zeros_like(c), confidence=c, stiffness=m, loads=Loads(force=force)
+    )
     prior = NeoHookeanPrior(0.3)
     solution = solve(problem, prior, backend="cpu")
     assert np.abs(solution.displacement[-1, :, :, 1]).min() > 1, "the motion is not large"
@@ -270,7 +272,9 @@ def test_forces_and_slipping_observations_are_in_equilibrium() -> None:
     doubted = pulled_patch(10, 2.0)
     c = np.where(doubted.observed != 0, 0.05, doubted.confidence)
     slips = solve(
-        Problem(doubted.observed, c, doubted.stiffness), NeoHookeanPrior(0.3), backend="cpu"
+        Problem(observed=doubted.observed, confidence=c, stiffness=doubted.stiffness),
+        NeoHookeanPrior(0.3),
+        backend="cpu",
     )
     moved = slips.displacement[..., 2].max()
     assert 0 < moved < 2.0

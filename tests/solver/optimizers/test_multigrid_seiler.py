@@ -31,7 +31,9 @@ def random_problem(shape=(49, 62), spacing=(1.0, 1.0), ratio=5.0, seed=0):
     m[shape[0] // 2 : shape[0] // 2 + 4, shape[1] // 3 : shape[1] // 3 + 3] = 0
     c = np.zeros((*shape, 2))
     c[:2] = c[-2:] = c[:, :2] = c[:, -2:] = 1
-    return Problem(rng.normal(size=(*shape, 2)), c, m, spacing=spacing)
+    return Problem(
+        observed=rng.normal(size=(*shape, 2)), confidence=c, stiffness=m, spacing=spacing
+    )
 
 
 def uncertain_problem(spacing=(1.0, 1.0), seed=1):
@@ -44,7 +46,9 @@ def uncertain_problem(spacing=(1.0, 1.0), seed=1):
     c[0] = c[1] = rng.uniform(0.05, 1, (13, 2))
     c[-2:, ::2] = rng.uniform(0.05, 1, (2, 7, 2))
     c[3:6, 8:11, 1] = 0.5
-    return Problem(rng.normal(size=(*shape, 2)), c, m, spacing=spacing)
+    return Problem(
+        observed=rng.normal(size=(*shape, 2)), confidence=c, stiffness=m, spacing=spacing
+    )
 
 
 def reference_solution(problem, prior):
@@ -110,7 +114,10 @@ def test_compiled_forces_match_the_energies(shape, spacing, reading):
     np.testing.assert_allclose(single, expected, atol=2e-6 * max(1, np.abs(expected).max()))
     energy, _ = model.work(host.planes(d))
     nothing = Problem(
-        problem.observed, 1e-30 * problem.confidence, problem.stiffness, spacing=spacing
+        observed=problem.observed,
+        confidence=1e-30 * problem.confidence,
+        stiffness=problem.stiffness,
+        spacing=spacing,
     )
     total = SeilerPrior(penalty=1e-9).site_energy(nothing, d * problem.unit).sum()
     assert energy == pytest.approx(total, rel=1e-9)
@@ -224,7 +231,7 @@ def test_the_number_of_cycles_is_nearly_independent_of_the_size(name, sizes):
 def test_a_stiff_tumour_in_soft_tissue_is_solved_accurately(ratio, name):
     problem = phantom(name, 64).problem
     m = np.where(problem.stiffness == 40, ratio, np.where(problem.stiffness > 0, 1.0, 0.0))
-    problem = Problem(problem.observed, problem.confidence, m)
+    problem = Problem(observed=problem.observed, confidence=problem.confidence, stiffness=m)
     found = solve(problem, SeilerPrior(), optimizer=Multigrid(1e-3))
     expected = solve_exactly(problem, "centred")
     assert np.abs(found.displacement - expected)[problem.tissue].max() < 1e-3
@@ -248,9 +255,9 @@ def test_the_strain_ratio_of_a_bar_does_not_depend_on_its_length():
         y, c = np.zeros((3, length, 2)), np.zeros((3, length, 2))
         c[:, [0, -1]] = 1
         y[:, -1, 1] = 10
-        along = solve(Problem(y, c, m), SeilerPrior(), optimizer=Multigrid(1e-4)).displacement[
-            1, :, 1
-        ]
+        along = solve(
+            Problem(observed=y, confidence=c, stiffness=m), SeilerPrior(), optimizer=Multigrid(1e-4)
+        ).displacement[1, :, 1]
         middle = length // 2
         ratio = (along[-1] - along[middle]) / (along[middle - 1] - along[0])
         assert ratio == pytest.approx(5.71, abs=0.03)
@@ -262,12 +269,18 @@ def test_the_field_depends_only_on_ratios_of_stiffness_and_lengths(reading):
     prior = SeilerPrior(conditional=reading)
     first = solve(problem, prior, optimizer=Multigrid(1e-4)).displacement
     harder = Problem(
-        problem.observed, problem.confidence, problem.stiffness * 1000, spacing=problem.spacing
+        observed=problem.observed,
+        confidence=problem.confidence,
+        stiffness=problem.stiffness * 1000,
+        spacing=problem.spacing,
     )
     found = solve(harder, prior, optimizer=Multigrid(1e-4)).displacement
     np.testing.assert_allclose(found, first, atol=5e-4)
     inches = Problem(
-        problem.observed / 25.4, problem.confidence, problem.stiffness, spacing=(1 / 25.4, 2 / 25.4)
+        observed=problem.observed / 25.4,
+        confidence=problem.confidence,
+        stiffness=problem.stiffness,
+        spacing=(1 / 25.4, 2 / 25.4),
     )
     found = solve(inches, prior, optimizer=Multigrid(1e-4)).displacement * 25.4
     np.testing.assert_allclose(found, first, atol=5e-4)
@@ -280,7 +293,7 @@ def test_a_warm_start_converges_to_the_same_field(reading):
     cold = solve(problem, prior, optimizer=Multigrid(1e-4))
     y = np.array(problem.observed)
     y[:2, 20:30, 0] += 1
-    edited = Problem(y, problem.confidence, problem.stiffness)
+    edited = Problem(observed=y, confidence=problem.confidence, stiffness=problem.stiffness)
     expected = solve(edited, prior, optimizer=Multigrid(1e-4)).displacement
     warm = solve(edited, prior, optimizer=Multigrid(1e-4), initial=cold)
     np.testing.assert_allclose(warm.displacement, expected, atol=3e-4)
@@ -291,7 +304,7 @@ def test_a_warm_start_does_not_move_a_free_border():
     y, c = np.zeros((12, 12, 2)), np.zeros((12, 12, 2))
     c[4:8, 4:8] = 1
     y[4:8, 4:8, 0] = 2
-    problem = Problem(y, c, np.ones((12, 12)))
+    problem = Problem(observed=y, confidence=c, stiffness=np.ones((12, 12)))
     start = solve(problem, SeilerPrior(), optimizer=ICM())
     assert np.abs(start.displacement[0, :, 0]).max() > 0.1
     found = solve(problem, SeilerPrior(), optimizer=Multigrid(1e-4), initial=start).displacement
@@ -306,15 +319,17 @@ def test_an_unconstrained_piece_is_named():
     c[3:17, 2:4] = 1
     prior = SeilerPrior(conditional="blanket")
     with pytest.raises(ProblemError, match=r"90 pixels around \(9, 22\) is not held anywhere"):
-        solve(Problem(0 * c, c, m), prior, optimizer=Multigrid())
+        solve(Problem(observed=0 * c, confidence=c, stiffness=m), prior, optimizer=Multigrid())
     c[9, 18:27] = 1
     with pytest.raises(ProblemError, match=r"90 pixels around \(9, 22\) could still grow along"):
-        solve(Problem(0 * c, c, m), prior, optimizer=Multigrid())
+        solve(Problem(observed=0 * c, confidence=c, stiffness=m), prior, optimizer=Multigrid())
     # In the centred conditional, a border that is not the middle of any clique stays at rest.
     y = np.zeros_like(c)
     y[3:17, 2:4] = 1
     found = solve(
-        Problem(y, np.where(y > 0, 1, 0), m), SeilerPrior(), optimizer=Multigrid()
+        Problem(observed=y, confidence=np.where(y > 0, 1, 0), stiffness=m),
+        SeilerPrior(),
+        optimizer=Multigrid(),
     ).displacement
     assert np.abs(found[5:15, 18:27]).max() < 1e-3
 

@@ -18,7 +18,9 @@ def contradictory_problem(contrast, spacing=(1.0, 1.0), shape=(6, 7), seed=0):
     c[[0, -1]] = 1
     y[0, :, 0], y[-1, :, 0] = 1, 3
     m = contrast ** rng.random(shape)
-    return Problem(y * np.sqrt(spacing[0] * spacing[1]), c, m, spacing=spacing)
+    return Problem(
+        observed=y * np.sqrt(spacing[0] * spacing[1]), confidence=c, stiffness=m, spacing=spacing
+    )
 
 
 @pytest.mark.parametrize(
@@ -48,7 +50,7 @@ def test_a_free_rigid_motion_has_no_energy_for_any_pixel_shape(spacing):
     shape = (7, 9)
     c = np.zeros((*shape, 2))
     c[2, 3] = 1
-    problem = Problem(0 * c, c, np.ones(shape), spacing=spacing)
+    problem = Problem(observed=0 * c, confidence=c, stiffness=np.ones(shape), spacing=spacing)
     (ways,) = free_motions(problem, problem.known)
     assert len(ways) == 1
     model = CpuElasticModel(ElasticPrior().material(problem))
@@ -59,7 +61,7 @@ def test_a_free_rigid_motion_has_no_energy_for_any_pixel_shape(spacing):
 @pytest.mark.parametrize(("shape", "penalty"), [((2, 2), 0.1), ((1, 2), None)])
 def test_sites_outside_all_cliques_match_their_observation(shape, penalty):
     y = np.random.default_rng(1).normal(size=(*shape, 2)) / 4
-    problem = Problem(y, np.ones((*shape, 2)), np.ones(shape))
+    problem = Problem(observed=y, confidence=np.ones((*shape, 2)), stiffness=np.ones(shape))
     found = solve(
         problem, SeilerPrior(penalty=penalty, conditional="blanket"), optimizer=Multigrid()
     ).displacement
@@ -76,7 +78,11 @@ def test_a_stiff_part_on_soft_tissue_moves_in_proportion_to_the_slip_force():
     y[1, -1, 1] = 2
     ends = []
     for penalty in (1e-8, 2e-8):
-        found = solve(Problem(y, c, m), ElasticPrior(penalty=penalty), optimizer=Multigrid(1e-5))
+        found = solve(
+            Problem(observed=y, confidence=c, stiffness=m),
+            ElasticPrior(penalty=penalty),
+            optimizer=Multigrid(1e-5),
+        )
         ends.append(found.displacement[1, -1, 1] / penalty)
     # The displacement is proportional to the force at which the observation slips.
     assert ends[1] == pytest.approx(ends[0], rel=1e-2)
@@ -96,8 +102,15 @@ def test_a_row_that_tilts_without_energy_is_rejected_despite_rounding(penalty):
     with pytest.raises(
         ProblemError, match=r"8 pixels around \(2, 1\) could still bend along the col"
     ):
-        solve(Problem(y, c, m), prior, optimizer=Multigrid(), backend="cpu")
+        solve(
+            Problem(observed=y, confidence=c, stiffness=m),
+            prior,
+            optimizer=Multigrid(),
+            backend="cpu",
+        )
     # A second observation in the row prevents the tilt.
     c[2, 2, 1] = 1
-    found = solve(Problem(y, c, m), prior, optimizer=Multigrid(), backend="cpu").displacement
+    found = solve(
+        Problem(observed=y, confidence=c, stiffness=m), prior, optimizer=Multigrid(), backend="cpu"
+    ).displacement
     np.testing.assert_allclose(found[1:4, 1, 1], found[2, [0, 2], 1].mean(), atol=1e-3)

@@ -37,7 +37,9 @@ def random_problem(shape=(9, 7), spacing=(1.0, 1.0), void=False, ratio=5.0, seed
         m[shape[0] // 2, shape[1] // 2] = 0
     c = np.zeros((*shape, 2))
     c[0] = c[-1] = c[:, 0] = c[:, -1] = 1
-    return Problem(rng.normal(size=(*shape, 2)), c, m, spacing=spacing)
+    return Problem(
+        observed=rng.normal(size=(*shape, 2)), confidence=c, stiffness=m, spacing=spacing
+    )
 
 
 @pytest.mark.parametrize(
@@ -56,7 +58,9 @@ def test_the_energy_matches_bilinear_finite_elements(spacing, poisson):
     i, j = np.rint(mesh.p / np.array(spacing)[:, None]).astype(int)
     values = np.zeros(stiffness.shape[0])
     values[basis.nodal_dofs] = d[i, j].T
-    problem = Problem(0 * d, np.ones_like(d), np.ones(shape), spacing=spacing)
+    problem = Problem(
+        observed=0 * d, confidence=np.ones_like(d), stiffness=np.ones(shape), spacing=spacing
+    )
     energy = ElasticPrior(poisson).energy(problem, d) * problem.unit**2
     assert energy == pytest.approx(0.5 * values @ stiffness @ values, rel=1e-10)
 
@@ -133,7 +137,8 @@ def test_uniform_tissue_with_an_affine_border_moves_affinely(plane, spacing):
     c = np.zeros((120, 90, 2))
     c[0] = c[-1] = c[:, 0] = c[:, -1] = 1
     found = solve(
-        Problem(affine, c, np.ones((120, 90)), spacing=spacing), ElasticPrior(0.4, plane=plane)
+        Problem(observed=affine, confidence=c, stiffness=np.ones((120, 90)), spacing=spacing),
+        ElasticPrior(0.4, plane=plane),
     )
     assert np.abs(found.displacement - affine).max() < 2e-3
 
@@ -179,7 +184,7 @@ MATERIALS = [(0.0, 1.0), (0.3, 1e6), (0.499, 1e3)]
 def test_any_material_converges_to_the_tolerance(poisson, ratio):
     problem = phantom("mass-effect", 64).problem
     m = np.where(problem.stiffness == 40, ratio, np.where(problem.stiffness > 0, 1.0, 0.0))
-    problem = Problem(problem.observed, problem.confidence, m)
+    problem = Problem(observed=problem.observed, confidence=problem.confidence, stiffness=m)
     for plane in PLANES:
         if ratio == 1e6 and poisson == 0.499 and plane == "strain":
             continue  # beyond single precision
@@ -215,7 +220,8 @@ def test_compressed_tissue_bulges_according_to_its_poisson_ratio():
     for poisson in (0.0, 0.25, 0.45):
         for plane, expected in (("stress", poisson), ("strain", poisson / (1 - poisson))):
             found = solve(
-                Problem(y, c, np.ones(shape)), ElasticPrior(poisson, plane=plane)
+                Problem(observed=y, confidence=c, stiffness=np.ones(shape)),
+                ElasticPrior(poisson, plane=plane),
             ).displacement
             bulge = (found[-1, 30, 0] - found[0, 30, 0]) / 40
             assert bulge == pytest.approx(expected * 3 / 60, abs=2e-4)
@@ -233,7 +239,11 @@ def test_nearly_incompressible_tissue_does_not_lock():
     sag = []
     for poisson in (0.3, 0.499):
         prior = ElasticPrior(poisson, plane="strain")
-        found = solve(Problem(y, c, np.ones(shape)), prior, optimizer=Multigrid(0.01)).displacement
+        found = solve(
+            Problem(observed=y, confidence=c, stiffness=np.ones(shape)),
+            prior,
+            optimizer=Multigrid(0.01),
+        ).displacement
         sag.append(found[6, 48, 0])
     assert sag[0] == pytest.approx(0, abs=0.2)
     assert sag[1] == pytest.approx(sag[0], abs=0.2)
@@ -243,11 +253,17 @@ def test_the_field_depends_only_on_ratios_of_stiffness_and_lengths():
     problem = random_problem((24, 31), spacing=(1, 2))
     first = solve(problem, ElasticPrior()).displacement
     harder = Problem(
-        problem.observed, problem.confidence, problem.stiffness * 1000, spacing=problem.spacing
+        observed=problem.observed,
+        confidence=problem.confidence,
+        stiffness=problem.stiffness * 1000,
+        spacing=problem.spacing,
     )
     np.testing.assert_allclose(solve(harder, ElasticPrior()).displacement, first, atol=2e-3)
     inches = Problem(
-        problem.observed / 25.4, problem.confidence, problem.stiffness, spacing=(1 / 25.4, 2 / 25.4)
+        observed=problem.observed / 25.4,
+        confidence=problem.confidence,
+        stiffness=problem.stiffness,
+        spacing=(1 / 25.4, 2 / 25.4),
     )
     found = solve(inches, ElasticPrior()).displacement * 25.4
     np.testing.assert_allclose(found, first, atol=5e-3)
@@ -266,7 +282,7 @@ def pieces():
 def test_an_unconstrained_piece_is_named():
     m, c = pieces()
     with pytest.raises(ProblemError, match=r"90 pixels around \(9, 22\) is not held anywhere"):
-        solve(Problem(0 * c, c, m), ElasticPrior())
+        solve(Problem(observed=0 * c, confidence=c, stiffness=m), ElasticPrior())
 
 
 @pytest.mark.parametrize(
@@ -282,7 +298,7 @@ def test_the_free_motion_of_an_underconstrained_piece_is_named(sites, way):
     for site in sites:
         c[site] = 1
     with pytest.raises(ProblemError, match=f"could still move {way}"):
-        solve(Problem(0 * c, c, m), ElasticPrior())
+        solve(Problem(observed=0 * c, confidence=c, stiffness=m), ElasticPrior())
 
 
 def test_a_removed_constraint_is_noticed_after_a_solve_with_more_constraints():
@@ -292,9 +308,9 @@ def test_a_removed_constraint_is_noticed_after_a_solve_with_more_constraints():
     more[12, 22] = 1
     less[9, 24, 0] = 0
     for enough in (c, more, c):
-        solve(Problem(0 * c, enough, m), ElasticPrior())
+        solve(Problem(observed=0 * c, confidence=enough, stiffness=m), ElasticPrior())
     with pytest.raises(ProblemError, match="could still move by turning"):
-        solve(Problem(0 * c, less, m), ElasticPrior())
+        solve(Problem(observed=0 * c, confidence=less, stiffness=m), ElasticPrior())
 
 
 def test_two_points_constrain_a_piece():
@@ -303,7 +319,7 @@ def test_two_points_constrain_a_piece():
     y = np.zeros_like(c)
     y[9, 20] = (1, 2)
     y[9, 24, 0] = 1
-    found = solve(Problem(y, c, m), ElasticPrior()).displacement
+    found = solve(Problem(observed=y, confidence=c, stiffness=m), ElasticPrior()).displacement
     np.testing.assert_allclose(found[5:15, 18:27], np.broadcast_to((1, 2), (10, 9, 2)), atol=2e-3)
     assert np.abs(found[3:17, 2:12]).max() < 1e-3
 
@@ -314,7 +330,7 @@ def test_tissue_only_one_pixel_wide_is_rejected():
     c = np.ones((9, 9, 2))
     c[4, 4] = 0
     with pytest.raises(ProblemError, match="two pixels wide"):
-        solve(Problem(np.zeros((9, 9, 2)), c, m), ElasticPrior())
+        solve(Problem(observed=np.zeros((9, 9, 2)), confidence=c, stiffness=m), ElasticPrior())
 
 
 def test_a_cancelled_solve_has_no_result():
@@ -382,10 +398,10 @@ def test_a_piece_attached_at_one_corner_can_still_rotate():
     c = np.zeros((16, 16, 2))
     c[0] = 1
     with pytest.raises(ProblemError, match=r"of 81 pixels around \(11, 11\) could still move by"):
-        solve(Problem(0 * c, c, m), ElasticPrior())
+        solve(Problem(observed=0 * c, confidence=c, stiffness=m), ElasticPrior())
     c[15, 15, 0] = 1
     y = np.zeros_like(c)
     y[15, 15, 0] = 0.8
-    found = solve(Problem(y, c, m), ElasticPrior()).displacement
+    found = solve(Problem(observed=y, confidence=c, stiffness=m), ElasticPrior()).displacement
     np.testing.assert_allclose(found[7, 15], (0.8, 0), atol=2e-3)
     np.testing.assert_allclose(found[15, 7], (0, -0.8), atol=2e-3)

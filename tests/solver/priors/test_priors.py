@@ -14,14 +14,16 @@ def random_problem(shape=(7, 9), seed=0, void=True, **more):
     m[0, 0] = 10
     c = rng.random((*shape, 2)) * (rng.random((*shape, 2)) < 0.3)
     c[0, 0] = 1
-    return Problem(rng.normal(size=(*shape, 2)), c, m, **more), rng.normal(size=(*shape, 2))
+    return Problem(
+        observed=rng.normal(size=(*shape, 2)), confidence=c, stiffness=m, **more
+    ), rng.normal(size=(*shape, 2))
 
 
 def three_in_a_row(first, second, third, m):
     """Return a problem of three sites in a column, and their displacement."""
     d = np.array([[first], [second], [third]], dtype=float)
     m = np.array(m, dtype=float)[:, None]
-    return Problem(np.zeros_like(d), np.ones_like(d), m), d
+    return Problem(observed=np.zeros_like(d), confidence=np.ones_like(d), stiffness=m), d
 
 
 def test_the_first_energy_term_of_example_1_of_the_paper_is_zero():
@@ -40,7 +42,7 @@ def test_example_2_of_the_paper_is_8_not_2_8():
     d[0, 0], d[1, 1], d[2, 2] = 1, 2, 1
     m = np.zeros((3, 3))
     m[np.diag_indices(3)] = 10
-    problem = Problem(d, np.ones_like(d), m)
+    problem = Problem(observed=d, confidence=np.ones_like(d), stiffness=m)
     assert SeilerPrior().site_energy(problem, d).sum() == pytest.approx(2 * 8)
 
 
@@ -78,13 +80,17 @@ def test_the_parabola_of_a_site_matches_its_local_energy(conditional):
 def test_a_uniform_strain_of_uniform_tissue_has_no_energy(spacing):
     i, j = np.mgrid[:6, :8]
     d = np.stack([0.1 * i - 0.3 * j + 1, 0.2 * i + 0.05 * j - 2], axis=-1)
-    problem = Problem(d, np.ones_like(d), np.full((6, 8), 3.0), spacing=spacing)
+    problem = Problem(
+        observed=d, confidence=np.ones_like(d), stiffness=np.full((6, 8), 3.0), spacing=spacing
+    )
     assert SeilerPrior().site_energy(problem, problem.observed).sum() == pytest.approx(0, abs=1e-6)
 
 
 def test_the_energy_depends_only_on_ratios_of_stiffness():
     problem, d = random_problem()
-    scaled = Problem(problem.observed, problem.confidence, problem.stiffness * 1000)
+    scaled = Problem(
+        observed=problem.observed, confidence=problem.confidence, stiffness=problem.stiffness * 1000
+    )
     prior = SeilerPrior()
     np.testing.assert_allclose(prior.site_energy(scaled, d), prior.site_energy(problem, d))
 
@@ -92,7 +98,10 @@ def test_the_energy_depends_only_on_ratios_of_stiffness():
 def test_the_energy_does_not_depend_on_the_unit_of_length():
     problem, d = random_problem()
     metres = Problem(
-        problem.observed * 1e-3, problem.confidence, problem.stiffness, spacing=(1e-3, 1e-3)
+        observed=problem.observed * 1e-3,
+        confidence=problem.confidence,
+        stiffness=problem.stiffness,
+        spacing=(1e-3, 1e-3),
     )
     prior = SeilerPrior()
     np.testing.assert_allclose(
@@ -105,14 +114,16 @@ def test_the_energy_has_no_preferred_direction():
     prior = SeilerPrior()
     expected = prior.site_energy(problem, d)
     flipped = Problem(
-        problem.observed[::-1] * (-1, 1), problem.confidence[::-1], problem.stiffness[::-1]
+        observed=problem.observed[::-1] * (-1, 1),
+        confidence=problem.confidence[::-1],
+        stiffness=problem.stiffness[::-1],
     )
     np.testing.assert_allclose(prior.site_energy(flipped, d[::-1] * (-1, 1)), expected[::-1])
     turn = (1, 0, 2)
     turned = Problem(
-        problem.observed.transpose(turn)[..., ::-1],
-        problem.confidence.transpose(turn)[..., ::-1],
-        problem.stiffness.T,
+        observed=problem.observed.transpose(turn)[..., ::-1],
+        confidence=problem.confidence.transpose(turn)[..., ::-1],
+        stiffness=problem.stiffness.T,
     )
     swapped = d.transpose(turn)[..., ::-1]
     np.testing.assert_allclose(prior.site_energy(turned, swapped), expected.T)
@@ -122,11 +133,16 @@ def test_void_belongs_to_no_clique():
     problem, d = random_problem(void=False)
     m = problem.stiffness.copy()
     m[3, 3] = 0
-    energy = SeilerPrior().site_energy(Problem(problem.observed, problem.confidence, m), d)
+    energy = SeilerPrior().site_energy(
+        Problem(observed=problem.observed, confidence=problem.confidence, stiffness=m), d
+    )
     wild = d.copy()
     wild[3, 3] = 1e6  # an arbitrary value
     np.testing.assert_array_equal(
-        SeilerPrior().site_energy(Problem(problem.observed, problem.confidence, m), wild), energy
+        SeilerPrior().site_energy(
+            Problem(observed=problem.observed, confidence=problem.confidence, stiffness=m), wild
+        ),
+        energy,
     )
     assert energy[3, 3] == 0
 
@@ -174,13 +190,20 @@ def test_the_penalty_grows_with_the_stiffness_beside_observations(spacing):
     c = np.zeros((*shape, 2))
     c[8, 8] = 1
     y = np.zeros((*shape, 2))
-    uniform = SeilerPrior().resolved(Problem(y, c, np.ones(shape), spacing=spacing))
+    uniform = SeilerPrior().resolved(
+        Problem(observed=y, confidence=c, stiffness=np.ones(shape), spacing=spacing)
+    )
     assert uniform.penalty == pytest.approx(1e4)
     m = np.ones(shape)
     m[8, 8] = 50
-    stiff = SeilerPrior().resolved(Problem(y, c, m, spacing=spacing))
+    stiff = SeilerPrior().resolved(Problem(observed=y, confidence=c, stiffness=m, spacing=spacing))
     assert stiff.penalty > 100 * uniform.penalty
     m[8, 8], m[0, 0] = 1, 50  # stiff tissue far from any observation
-    far = SeilerPrior().resolved(Problem(y, c, m, spacing=spacing))
+    far = SeilerPrior().resolved(Problem(observed=y, confidence=c, stiffness=m, spacing=spacing))
     assert far.penalty == pytest.approx(1e4)
-    assert SeilerPrior(penalty=7).resolved(Problem(y, c, m, spacing=spacing)).penalty == 7
+    assert (
+        SeilerPrior(penalty=7)
+        .resolved(Problem(observed=y, confidence=c, stiffness=m, spacing=spacing))
+        .penalty
+        == 7
+    )

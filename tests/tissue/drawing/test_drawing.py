@@ -202,7 +202,8 @@ def test_tissue_follows_the_drawing():
     held = Stroke("pin", (((0, 0), (0, 19), (19, 19), (19, 0), (0, 0)),), radius=0.5)
     drawn = Drawing((held, Arrow((10, 10), (2, 1), radius=2))).render(Canvas.blank((20, 20)))
     moved = solve(
-        Problem(drawn.observed, drawn.confidence, np.ones((20, 20))), ElasticPrior()
+        Problem(observed=drawn.observed, confidence=drawn.confidence, stiffness=np.ones((20, 20))),
+        ElasticPrior(),
     ).displacement
     assert moved[10, 10] == pytest.approx((2, 1), abs=1e-3)
     assert 0.2 < moved[10, 4, 0] < 1.8
@@ -454,7 +455,9 @@ def test_the_advice_against_folds_is_effective():
         rendering = Rendering(base)
         rendering.show(Drawing((Arrow((48, col), (0, by), radius),)))
         canvas = rendering.canvas
-        problem = Problem(canvas.observed, canvas.confidence, np.ones(base.shape))
+        problem = Problem(
+            observed=canvas.observed, confidence=canvas.confidence, stiffness=np.ones(base.shape)
+        )
         solution = solve(problem, ElasticPrior(), optimizer=Multigrid(0.05), backend="cpu")
         return count_folds(solution.displacement, spacing=solution.spacing, tissue=solution.tissue)
 

@@ -737,7 +737,10 @@ def test_a_saved_result_is_displayed_with_and_without_an_image(widget, tmp_path,
     y[:, -1] = (0, 2)
     path = str(
         solve(
-            Problem(y, c, np.ones((8, 9))), SeilerPrior(), optimizer=ICM(20), backend="cpu"
+            Problem(observed=y, confidence=c, stiffness=np.ones((8, 9))),
+            SeilerPrior(),
+            optimizer=ICM(20),
+            backend="cpu",
         ).write(tmp_path / "kept.npz")
     )
     ((data, attributes, _),) = open_solution(path)(path)

@@ -23,7 +23,12 @@ def both_models(prior, shape, spacing):
     rng = np.random.default_rng(0)
     m = 10 ** rng.uniform(-2, 1, shape)
     m[rng.random(shape) < 0.1] = 0
-    problem = Problem(np.zeros((*shape, 2)), rng.random((*shape, 2)) < 0.2, m, spacing=spacing)
+    problem = Problem(
+        observed=np.zeros((*shape, 2)),
+        confidence=rng.random((*shape, 2)) < 0.2,
+        stiffness=m,
+        spacing=spacing,
+    )
     material = prior.material(problem)
     if isinstance(prior, ElasticPrior):
         both = CpuElasticModel(material), elastic.ArrayElasticModel(material)

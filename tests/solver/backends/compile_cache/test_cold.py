@@ -69,7 +69,12 @@ def test_a_bone_moves_rigidly_before_the_loops_are_compiled(cold, monkeypatch):
     require_opengl()
     m = PROBLEM.stiffness.copy()
     m[18:23, 12:17] = np.inf
-    bony = Problem(PROBLEM.observed, PROBLEM.confidence, m, spacing=PROBLEM.spacing)
+    bony = Problem(
+        observed=PROBLEM.observed,
+        confidence=PROBLEM.confidence,
+        stiffness=m,
+        spacing=PROBLEM.spacing,
+    )
     early = solve(bony, ElasticPrior(0.3), backend="opengl")
     assert not loops.in_use()
     monkeypatch.setenv("NAPARI_HMRF_COMPILE", "here")

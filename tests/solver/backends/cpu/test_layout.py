@@ -31,7 +31,12 @@ def random_problem(m, seed) -> Problem:
     c[110:125] = True  # rows in which nothing moves
     # A prescribed pixel outside every element would change the cycle in one of the layouts only.
     c &= binary_opening(m > 0, np.ones((2, 2)))[..., None]
-    return Problem(random.normal(size=c.shape), c.astype(float), m, spacing=(1.0, 1.5))
+    return Problem(
+        observed=random.normal(size=c.shape),
+        confidence=c.astype(float),
+        stiffness=m,
+        spacing=(1.0, 1.5),
+    )
 
 
 @pytest.fixture

@@ -29,7 +29,7 @@ def model_of(prior, shape, spacing=(1.0, 1.0), held=True, seed=0):
         c[rng.random(c.shape) < 0.05] = 1
     else:
         c[0, 0] = 1
-    problem = Problem(np.zeros_like(c), c, m, spacing=spacing)
+    problem = Problem(observed=np.zeros_like(c), confidence=c, stiffness=m, spacing=spacing)
     kind = CpuElasticModel if isinstance(prior, ElasticPrior) else CpuSeilerModel
     model = kind(prior.material(problem))
     planes = np.zeros((2, shape[0] + 4, shape[1] + 4), dtype=bool)
@@ -77,7 +77,9 @@ def test_a_nearly_singular_system_is_solved_to_many_digits():
     """A plate of the paper's cliques with stiff blobs: bending has 1e-12 of the diagonal."""
     rng = np.random.default_rng(0)
     m = np.where(gaussian_filter(rng.random((34, 34)), 1.5) > 0.5, 1e6, 1.0)
-    problem = Problem(np.zeros((34, 34, 2)), rng.random((34, 34, 2)) < 0.07, m)
+    problem = Problem(
+        observed=np.zeros((34, 34, 2)), confidence=rng.random((34, 34, 2)) < 0.07, stiffness=m
+    )
     model = CpuSeilerModel(PRIORS["blanket"].material(problem))
     held = np.zeros(model.moves.shape, dtype=bool)
     held[:, 2:-2, 2:-2] = np.moveaxis(problem.known, -1, 0)

@@ -89,7 +89,7 @@ def wall(shape):
     y, c = np.zeros((2, *shape, 3))
     c[0] = c[-1] = 1
     y[-1, ..., 0] = 1
-    return Problem(y, c, m)
+    return Problem(observed=y, confidence=c, stiffness=m)
 
 
 def test_only_the_factors_of_the_last_volume_are_kept(monkeypatch):

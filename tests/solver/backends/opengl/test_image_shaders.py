@@ -208,7 +208,7 @@ def test_a_ratio_is_zero_unless_both_operands_are_positive(stage):
 def test_sums_and_maxima_include_every_site(stage, shape):
     held = np.zeros((*shape, 2))
     held[0, 0] = 1
-    given = Example(Problem(0 * held, held, np.ones(shape)), STRESS)
+    given = Example(Problem(observed=0 * held, confidence=held, stiffness=np.ones(shape)), STRESS)
     sites = np.zeros((2, shape[0] + 4, shape[1] + 4), np.float32)
     sites[:, 2:-2, 2:-2] = 1
     peak = sites.copy()
@@ -262,7 +262,7 @@ def graded_torn(shape=(45, 61)) -> Problem:
     """Return torn tissue with observations of a confidence from 0.1 to 1, some of which slip."""
     problem = torn(5.0, shape)
     graded = np.linspace(0.1, 1, problem.shape[0])[:, None, None] * problem.confidence
-    return Problem(problem.observed, graded, problem.stiffness)
+    return Problem(observed=problem.observed, confidence=graded, stiffness=problem.stiffness)
 
 
 @pytest.mark.parametrize(

@@ -34,7 +34,9 @@ def body(size: tuple[int, int] = (45, 61)) -> Problem:
     m = np.where(radius < 0.9, 20.0, 0.0)
     m[np.hypot(place[..., 0] - 0.2, place[..., 1] + 0.1) < 0.3] = 40
     rim = (radius < 0.9) & (radius > 0.75)
-    return Problem(place * 3, np.repeat(rim[..., None], 2, axis=-1), m)
+    return Problem(
+        observed=place * 3, confidence=np.repeat(rim[..., None], 2, axis=-1), stiffness=m
+    )
 
 
 class Ledger:
@@ -403,7 +405,11 @@ def test_a_wrong_sign_or_border_in_a_shader_is_detected(stage, monkeypatch, file
     problem = body((21, 26))
     stiff = problem.stiffness.copy()
     stiff[5:9, :] *= 3  # stiffness differs on both sides of a site and at the border of the image
-    problem = Problem(problem.observed, problem.confidence, np.where(stiff > 0, stiff, 5))
+    problem = Problem(
+        observed=problem.observed,
+        confidence=problem.confidence,
+        stiffness=np.where(stiff > 0, stiff, 5),
+    )
     prior = SeilerPrior(penalty=5.0)  # observations and stiffness then compete
     loops = solve(problem, prior, optimizer=CLOSED_FORM, backend="cpu")
     monkeypatch.setattr(

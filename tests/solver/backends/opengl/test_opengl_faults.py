@@ -53,7 +53,7 @@ relaxing.WORTH_AGAIN = 0  # shaders visit small levels as often as loops do
 random = np.random.default_rng(0)
 m = np.ones((14, 11)); m[4:8, 3:7] = 3; m[0, :4] = 0
 held = np.zeros((14, 11, 2)); held[[0, -1]] = 1
-problem = Problem(random.normal(size=held.shape), held, m)
+problem = Problem(observed=random.normal(size=held.shape), confidence=held, stiffness=m)
 for steps in (None, ICM().steps):
     plan = ICM(iterations=20, steps=steps)
     loops = solve(problem, SeilerPrior(), optimizer=plan, backend="cpu")

@@ -193,7 +193,7 @@ def test_sums_and_maxima_include_every_site(of_void):
     m[:of_void, :, :33] = 0  # whole work groups
     held = np.zeros((*m.shape, 3))
     held[-1, 0, 0, 0] = 1
-    given = Example(Problem(0 * held, held, m), ElasticPrior(0.3))
+    given = Example(Problem(observed=0 * held, confidence=held, stiffness=m), ElasticPrior(0.3))
     (host_level, *_) = host_levels(given)
     ones = (host_level.planes(host_level.inverse) > 0).astype(np.float32)
     peak = ones.copy()
@@ -269,7 +269,7 @@ def pressed(n, free, seed=0):
         c[:, [0, -1]] = c[:, :, [0, -1]] = 1
     c[[0, -1]] = 1
     y[-1] = np.array((1.0, 0.5, -0.3)) * OBLONG
-    return Problem(y, c, m, spacing=OBLONG)
+    return Problem(observed=y, confidence=c, stiffness=m, spacing=OBLONG)
 
 
 @pytest.mark.parametrize(
@@ -462,7 +462,9 @@ def test_rigid_or_slipping_tissue_is_solved_by_the_loops(kind):
     m = problem.stiffness.copy()
     m[5, 5, 2:4] = np.inf
     if kind == "rigid":
-        problem = Problem(problem.observed, problem.confidence, m, spacing=OBLONG)
+        problem = Problem(
+            observed=problem.observed, confidence=problem.confidence, stiffness=m, spacing=OBLONG
+        )
     prior = ElasticPrior(0.3, penalty=np.inf if kind == "rigid" else 0.5)
     kind = "rigid tissue" if kind == "rigid" else "may slip"
     with pytest.raises(BackendError, match=f"compiled loops solve volumes .*{kind}, not opengl"):
