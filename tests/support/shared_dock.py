@@ -9,6 +9,7 @@ the dock if anything differs, so that no test depends on another.
 from __future__ import annotations
 
 import dataclasses
+import sys
 import types
 from collections import deque
 from weakref import WeakKeyDictionary, WeakSet, WeakValueDictionary
@@ -83,7 +84,9 @@ class SharedDock:
 
     def _clean(self):
         """Restore the state of a new dock; return the first difference that is left, or ""."""
-        dock, new = self._dock, self._new
+        dock, new, errors = self._dock, self._new, []
+        # PyQt aborts the process at an error in a callback, unless there is a hook for errors.
+        hook, sys.excepthook = sys.excepthook, lambda *error: errors.append(repr(error[1]))
         try:
             dock.cancel()
             dock.pause()
@@ -98,9 +101,11 @@ class SharedDock:
                 dock.fields.show_for(dock.fields._tool)
                 new.restore_visibility()
             dock.show_message("")
-            return new.difference()
+            return errors[0] if errors else new.difference()
         except Exception as error:  # noqa: BLE001 - a test may leave the dock in any state
             return repr(error)
+        finally:
+            sys.excepthook = hook
 
 
 def _settle():
