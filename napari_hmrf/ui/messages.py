@@ -20,6 +20,7 @@ from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.optimizers.base import Reach
 from napari_hmrf.solver.priors.elastic import Plane
 from napari_hmrf.solver.staged_progress import COMPILING
+from napari_hmrf.study.ground import has_data
 from napari_hmrf.study.landmark_data import uncertain_landmarks
 from napari_hmrf.wording import in_words_of
 
@@ -170,9 +171,8 @@ def warnings_of(done: CompleteResult, overlay: str) -> tuple[str, str]:
 def can_unfold(done: CompleteResult) -> bool:
     """Return whether the tissue folds and the large-motion model would avoid the folds."""
     study = done.moved.study
-    slides = study.slides or done.outputs.solution.parts is not None
-    has_data = slides or bool(uncertain_landmarks(study.motion.drawing))
-    is_elastic = study.model_name == "elastic" and not has_data
+    only_elastic = has_data(study) or done.outputs.solution.parts is not None
+    is_elastic = study.model_name == "elastic" and not only_elastic
     return is_elastic and "folds" in marks_of(done.outputs)
 
 
