@@ -56,8 +56,8 @@ _NO_IMAGE = "No image is chosen. Choose an image above to see its result."
 _PAINT_HIDDEN = "Tissue hidden while pulling: {}. To show a layer, click its eye icon."
 _HIDDEN = "Hidden to make '{}' visible: {}. Click the eye icon of a layer to show the layer again."
 PAINT_HIDDEN = (
-    "Hidden over the deformed image, because paint does not move with it: {}. The overlay 'tissue "
-    "labels' moves."
+    "Hidden over the deformed image, because paint does not move with it: {}. To paint in a layer, "
+    "select it in the layer list."
 )
 PAINT_SHOWN = "'{0}' belongs to the undeformed image, shown now. To see the result, hide '{0}'."
 EDGE_GOES = (

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from typing import Any
 
-from napari.layers import Points
+from napari.layers import Labels, Points
 from psygnal import Signal
 
 from napari_hmrf.field.frame import PLACE
@@ -130,6 +130,20 @@ class ViewerWatch:
         if shown:
             hidden = messages.describe_hidden_paint(shown)
             self._guide.show_message(f"{self._guide.invitation} {hidden}", "step")
+
+    @property
+    def is_paint_in_use(self) -> bool:
+        """True while the undeformed image is shown with a painted layer on it."""
+        return self._in_use is not None
+
+    def hand_brush(self, layer: Any) -> None:
+        """Show the active painted layer on the undeformed image, and select its brush."""
+        if not layer.visible:  # an assignment ends the mode of a layer
+            layer.visible = True
+        if isinstance(layer, Labels):
+            layer.mode = "paint"
+        self._guide.add_aside("")  # the layer is no longer hidden
+        self._guide.show_message("")
 
     @property
     def _painted(self) -> tuple[Any, Any]:
@@ -264,6 +278,9 @@ class ViewerWatch:
         self.update_mouse_mode()
         if self._active is not before:  # unchanged if the dock only added a layer
             self._on_mode()
+            is_painted = self._active in self._painted and isinstance(self._active, Labels)
+            if is_painted and not self._active.visible and is_deformed(self._viewer):
+                self.hand_brush(self._active)
 
     @property
     def _is_painted(self) -> bool:
