@@ -66,6 +66,10 @@ EDGE_GOES = (
 )
 #: Messages about the data that is lost with a deleted layer.
 DRAWING_GONE = "'{name}' was deleted with the drawing on it. napari cannot restore a deleted layer."
+DRAWING_KEPT = (
+    "'{name}' was deleted with the drawing on it. The work is kept: when napari starts again, the "
+    "dock offers to open it."
+)
 TISSUE_GONE = (
     "'{name}' was deleted with its stiffness values. napari cannot restore a deleted layer."
 )

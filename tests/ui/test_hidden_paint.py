@@ -74,8 +74,8 @@ def test_a_painted_layer_that_the_user_selects_or_makes_is_ready_for_paint(pulli
     deformed = deformed_of(viewer)
     assert deformed.visible
     Screen(widget).press("New tissue layer")
-    settle(widget)
     assert widget.status.startswith("Paint in 'Tissue' and 'Boundary': click a row")
+    settle(widget)
     for layer in (widget.tissue, widget.boundary):
         viewer.layers.selection.active = layer
         assert layer.visible
