@@ -108,7 +108,7 @@ class Request:
     cavity: Cavity = field(default_factory=Cavity)
 
     @classmethod
-    def of(cls, model: StudyModel, view: View, preset: Preset | None = None) -> Request:
+    def of(cls, model: StudyModel, view: View) -> Request:
         """Return the request for the image that is selected in a model.
 
         Parameters
@@ -116,9 +116,6 @@ class Request:
         model : StudyModel
         view : View
             Visible slice.
-        preset : Preset, optional
-            Tissues that can be painted if the tissue layer has no table. With a table, materials
-            of strokes with a label that the table lacks.
         """
         choice = model.choice
         tissue, boundary = choice.tissue_layer, choice.boundary
@@ -134,7 +131,7 @@ class Request:
             view=view,
             hold_edge=choice.hold_edge,
             drawing=model.drawing,
-            preset=preset,
+            preset=choice.preset,
             without_border=choice.without_border,
             curve=model.curve if choice.tissue == BRIGHTNESS else None,
             weight=choice.weight,

@@ -436,6 +436,16 @@ def _no_landmark_data(study: Study, count: int) -> LayerError:
     )
 
 
+def has_data(study: Study) -> bool:
+    """Return whether a study has data, which the model of large motion does not support.
+
+    Data are surfaces along which tissue slides, landmarks with a standard deviation, and measured
+    motion.
+    """
+    motion = study.motion
+    return study.slides or bool(uncertain_landmarks(motion.drawing)) or motion.measured is not None
+
+
 def refuse_measurement(study: Study) -> None:
     """Raise an error if the model of a study does not support measured motion.
 

@@ -33,6 +33,7 @@ from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 from napari_hmrf.tissue.cavity import Cavity
 from napari_hmrf.tissue.drawing import Drawing
+from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.row_table import RowTable
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 
@@ -64,6 +65,7 @@ _STEP_NAMES = {
     "weight": "changed the weight",
     "cavity": "changed the contents of the cavity",
     "extent": "changed between slice and volume",
+    "preset": "chose other tissues to paint with",
 }
 
 
@@ -110,6 +112,8 @@ class ImageChoice:
         Part of the image that is solved.
     compare_with : layer or None
         Second image to display over the warped image.
+    preset : Preset or None
+        Tissues to paint with if the tissue has no table, as in `Tissue`.
     """
 
     tissue: Any = None
@@ -121,6 +125,7 @@ class ImageChoice:
     cavity: Cavity = field(default_factory=Cavity)
     extent: str = "slice"
     compare_with: Any = None
+    preset: Preset | None = None
 
     @property
     def tissue_layer(self) -> Any:
@@ -315,6 +320,7 @@ class StudyModel(EditHistory):
             weight=motion.weight,
             cavity=motion.cavity,
             extent="volume" if len(study.grid.shape) == 3 else "slice",
+            preset=tissue.preset,
         )
         device = self.model.details.device
         choice = ModelChoice.of(study)
@@ -455,7 +461,9 @@ class StudyModel(EditHistory):
         """
         choice, model = self.choice, self.model
         edge = choice.hold_edge if choice.boundary is not None else ImageChoice.hold_edge
-        usual = replace(choice, without_border=True, hold_edge=edge, weight=(), cavity=Cavity())
+        usual = replace(
+            choice, without_border=True, hold_edge=edge, weight=(), cavity=Cavity(), preset=None
+        )
         usual_model = ModelChoice(details=SolverDetails(device=model.details.device))
         chosen, model_part = Part("choice", self.image), self.model_part
         values: dict[Part, Any] = {self.slice: Drawing(), chosen: usual, model_part: usual_model}

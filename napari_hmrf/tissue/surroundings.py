@@ -20,6 +20,10 @@ _KEPT = 4
 _known: list[tuple[weakref.ref[Any], npt.NDArray[np.bool_]]] = []
 # Smallest fraction of the image's edge that dark surroundings must cover.
 _AROUND = 0.75
+# Smallest value of a CT image with air, in Hounsfield units; lower values are padding.
+_LEAST_HU = -1024
+# Values of air in a CT image, in Hounsfield units.
+_AIR_HU = (-1100, -900)
 # Position of the void threshold between the intensity of air (0) and the median of tissue (1).
 _ABOVE = 0.01
 
@@ -29,7 +33,9 @@ def background_of(picture: npt.NDArray[Any], axes: int = 2) -> npt.NDArray[np.bo
 
     Otsu's threshold separates dark pixels from bright pixels. Dark pixels that are connected to the
     edge of the image are surroundings; other dark pixels are tissue. If the surroundings clearly
-    consist of two kinds, such as air and fat in CT, the mask contains only the darker kind.
+    consist of two kinds, such as air and fat in CT, the mask contains only the darker kind. Padding
+    below the air of a CT image, such as -2000 or -3024 outside the circle of the scanner, counts as
+    air.
 
     Parameters
     ----------
@@ -45,7 +51,7 @@ def background_of(picture: npt.NDArray[Any], axes: int = 2) -> npt.NDArray[np.bo
     """
     from skimage.filters import threshold_otsu  # heavy: skimage
 
-    grey = picture[..., :3].mean(axis=-1) if picture.ndim > axes else picture
+    grey = picture[..., :3].mean(axis=-1) if picture.ndim > axes else _without_padding(picture)
     values = grey[np.isfinite(grey)] if grey.dtype.kind == "f" else grey
     if not values.size or values.min() == values.max():
         return np.zeros(grey.shape, dtype=bool)
@@ -60,6 +66,16 @@ def background_of(picture: npt.NDArray[Any], axes: int = 2) -> npt.NDArray[np.bo
         if differ and min(len(air), len(rest)) > _PART * len(around):
             surroundings = outside_of(grey > below)
     return surroundings
+
+
+def _without_padding(grey: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Raise padding below the air of a CT image to air; return other images unchanged."""
+    if grey.dtype.kind not in "if" or not (is_padding := grey < _LEAST_HU).any():
+        return grey
+    is_air = (grey > _AIR_HU[0]) & (grey < _AIR_HU[1])
+    if np.count_nonzero(is_air) < _PART * np.count_nonzero(~is_padding):
+        return grey
+    return np.where(is_padding, np.array(_LEAST_HU, grey.dtype), grey)
 
 
 def dark_border(picture: npt.NDArray[Any], axes: int = 2) -> npt.NDArray[np.bool_]:

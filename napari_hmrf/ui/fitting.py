@@ -55,7 +55,7 @@ class Fitting:
         self._form.fit.changed.connect(self.open)
         controller.form.footer.cancel.changed.connect(self.cancel)
         self._connections = EventConnections(
-            (model.changed, self._refresh),
+            (model.changed, self._on_changed),
             (controller.slice_changed, self._refresh),
             (controller.form.result.second.changed, self._refresh),
         )
@@ -73,7 +73,8 @@ class Fitting:
             self._window = FitWindow(native.window(), self.start, self.cancel)
             self._ticked = {"growth": {row.label for row in self._rows if row.grows}}
         self._window.show_outcome("")
-        self._refresh()
+        if not self._window.isVisible():
+            self._show_window(self._window, self._ticked)
         self._window.show()
         self._window.raise_()
 
@@ -184,8 +185,13 @@ class Fitting:
         if text:
             self.message.emit(text)
 
+    def _on_changed(self, part: Part, *_: Any) -> None:
+        """Refresh after an edit that a fit depends on; a drag changes only the drawing."""
+        if part.kind in ("tissue", "choice", "model"):
+            self._refresh()
+
     def _refresh(self, *_: Any) -> None:
-        """Enable the button, and show the current tissues in the window."""
+        """Enable the button, and show the current tissues in the window if it is open."""
         rows = self._rows
         second = self._controller.form.result.second.value
         self._form.show_fit(
@@ -193,10 +199,11 @@ class Fitting:
             has_tissues=bool(rows),
             is_elastic=self._model.model.name in ("elastic", "large motion"),
         )
-        window = self._window
-        if window is None:
-            return
+        if self._window is not None and self._window.isVisible():
+            self._show_window(self._window, self._window.ticked)
+
+    def _show_window(self, window: FitWindow, ticked: dict[str, set[int]]) -> None:
+        """Show the current tissues in the window, and whether a fit is running."""
         window.show_busy(self.busy)
-        ticked = window.ticked if window.isVisible() else self._ticked
         is_fitted = self._found is not None and self._found[1] == self._model.get(self._part)
-        window.show_rows(rows, ticked, self._found[0] if self._found and is_fitted else None)
+        window.show_rows(self._rows, ticked, self._found[0] if self._found and is_fitted else None)

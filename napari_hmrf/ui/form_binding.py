@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -71,10 +70,9 @@ class FormBinding:
             "cavity": motion.cavity,
             "extent": form.extent,
             "compare_with": form.result.second,
+            "preset": motion.fields.preset,
         }
         self._image: Any = None
-        # Preset of each image that was chosen before.
-        self._presets: weakref.WeakKeyDictionary[Layer, Preset] = weakref.WeakKeyDictionary()
         self.automatic = False
         # True once the user has chosen or deformed an image; new images then do not replace it.
         self._image_is_fixed = False
@@ -144,7 +142,7 @@ class FormBinding:
         image, tissue = form.image.value, choice.tissue_layer
         if image is None and (self._image_is_gone or not isinstance(tissue, Labels)):
             raise HmrfError(CHOOSE if self._viewer.layers else WELCOME)
-        return Request.of(model, form.view(), form.motion.fields.preset.value)
+        return Request.of(model, form.view())
 
     # Automatic choice of layers
 
@@ -242,13 +240,14 @@ class FormBinding:
         before, self._image = self._image, image
         if before is image:
             return
-        self._show_preset(before, image)
         # Choices made before the first image, or for a removed image, apply to the next image.
         keep_choices = before is None or (image is None and self.automatic)
         self._image_is_gone = image is None
         known = self._model.select(image)
         choice = self._model.choice
         with self.automatically():
+            if image is not None:
+                self._offer_presets(None)
             if not keep_choices:
                 self._show(ImageChoice())
             if not keep_choices or self._model.model_part in self._model.parts:
@@ -260,14 +259,11 @@ class FormBinding:
             elif image is not None:
                 self._begin_with(image)
 
-    def _show_preset(self, before: Any, image: Any) -> None:
-        """Show the preset that was chosen for an image; by default, a preset for its kind."""
-        fields = self._form.motion.fields
-        if before is not None:
-            self._presets[before] = fields.preset.value
-        if image is not None:
-            usual = PLAIN if is_photograph(image) else PRESETS[0]
-            fields.offer_presets(self._presets.get(image, usual))
+    def _offer_presets(self, chosen: Preset | None) -> None:
+        """Offer all presets, and show the chosen one; by default, one for the kind of image."""
+        image = self._form.image.value
+        usual = PLAIN if image is not None and is_photograph(image) else PRESETS[0]
+        self._form.motion.fields.offer_presets(usual, chosen)
 
     def _begin_with(self, image: Any) -> None:
         """Choose the layers painted on a new image, and drop choices that do not fit the image."""
@@ -291,7 +287,10 @@ class FormBinding:
         with self.automatically():
             if choice.tissue == BRIGHTNESS:
                 self._form.tissue.offer(self._model.curve)
+            self._offer_presets(choice.preset)
             for name, field in self.fields.items():
+                if name == "preset":
+                    continue
                 value, of_layers = getattr(choice, name), hasattr(field, "offered")
                 field.value = value if not of_layers or value in field.choices else None
 
@@ -386,6 +385,7 @@ class FormBinding:
                 form.model.choice = value
             elif part.kind == "choice" and is_current:
                 self._show(value)
+                value = replace(value, preset=self.fields["preset"].value)
                 for layer in value.layers:  # undo may restore a layer that was removed
                     if isinstance(layer, Layer) and layer not in self._viewer.layers:
                         value = value.without(layer)

@@ -204,7 +204,7 @@ class Guide:
         sentence = f"{sentence} {aside}".strip()
         if not sentence or (sentence == messages.STILL and self.obstacle):
             self.invite()
-        elif self._why != "refused":
+        elif self._why != "refused" and not self._message.endswith(sentence):
             self.show_message(
                 f"{self._message} {sentence}".lstrip() if self._why == "step" else sentence
             )

@@ -20,6 +20,7 @@ from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.optimizers.base import Reach
 from napari_hmrf.solver.priors.elastic import Plane
 from napari_hmrf.solver.staged_progress import COMPILING
+from napari_hmrf.study.ground import has_data
 from napari_hmrf.study.landmark_data import uncertain_landmarks
 from napari_hmrf.wording import in_words_of
 
@@ -55,8 +56,8 @@ _NO_IMAGE = "No image is chosen. Choose an image above to see its result."
 _PAINT_HIDDEN = "Tissue hidden while pulling: {}. To show a layer, click its eye icon."
 _HIDDEN = "Hidden to make '{}' visible: {}. Click the eye icon of a layer to show the layer again."
 PAINT_HIDDEN = (
-    "Hidden over the deformed image, because paint does not move with it: {}. The overlay 'tissue "
-    "labels' moves."
+    "Hidden over the deformed image, because paint does not move with it: {}. To paint in a layer, "
+    "select it in the layer list."
 )
 PAINT_SHOWN = "'{0}' belongs to the undeformed image, shown now. To see the result, hide '{0}'."
 EDGE_GOES = (
@@ -65,6 +66,10 @@ EDGE_GOES = (
 )
 #: Messages about the data that is lost with a deleted layer.
 DRAWING_GONE = "'{name}' was deleted with the drawing on it. napari cannot restore a deleted layer."
+DRAWING_KEPT = (
+    "'{name}' was deleted with the drawing on it. The work is kept: when napari starts again, the "
+    "dock offers to open it."
+)
 TISSUE_GONE = (
     "'{name}' was deleted with its stiffness values. napari cannot restore a deleted layer."
 )
@@ -170,9 +175,8 @@ def warnings_of(done: CompleteResult, overlay: str) -> tuple[str, str]:
 def can_unfold(done: CompleteResult) -> bool:
     """Return whether the tissue folds and the large-motion model would avoid the folds."""
     study = done.moved.study
-    slides = study.slides or done.outputs.solution.parts is not None
-    has_data = slides or bool(uncertain_landmarks(study.motion.drawing))
-    is_elastic = study.model_name == "elastic" and not has_data
+    only_elastic = has_data(study) or done.outputs.solution.parts is not None
+    is_elastic = study.model_name == "elastic" and not only_elastic
     return is_elastic and "folds" in marks_of(done.outputs)
 
 

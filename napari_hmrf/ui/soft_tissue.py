@@ -295,8 +295,13 @@ class SoftTissue(DockValues):
         made = add_missing(self._viewer, self.image, *chosen, self._form.view(), preset, drawing)
         with self._binding.automatically():  # undo would not remove the layers
             self.tissue, self.boundary = BRIGHTNESS if by_brightness else made[0], made[1]
-        painted = (f"'{layer.name}'" for layer in made if isinstance(layer, Labels))
-        self.show_message(messages.PAINT.format(" and ".join(painted)))
+        self._watch.hand_brush(self._viewer.layers.selection.active)
+        painted = [layer for layer in made if isinstance(layer, Labels)]
+        for layer in painted:  # the deformed image, which they do not move with, is hidden now
+            if not layer.visible:
+                layer.visible = True
+        names = " and ".join(f"'{layer.name}'" for layer in painted)
+        self._guide.show_message(messages.PAINT.format(names), "step")
 
     def tissue_from_intensity(self, curve: StiffnessCurve | None = None) -> StiffnessCurve:
         """Define the stiffness of tissue from the intensity of the image, and return the curve.
@@ -368,9 +373,7 @@ class SoftTissue(DockValues):
         """Prepare a layer for painting: make it visible and active, and select its brush."""
         if layer in self._viewer.layers:
             self._viewer.layers.selection.active = layer
-            layer.visible = True
-            layer.mode = "paint"
-            self.show_message("")
+            self._watch.hand_brush(layer)
 
     def _connect(self) -> None:
         form, pointer, controller = self._form, self._pointer, self._controller
@@ -440,9 +443,8 @@ class SoftTissue(DockValues):
         self._show_tool()
 
     def _on_table(self, is_automatic: bool) -> None:
-        """Show the effect of a typed value."""
-        if not is_automatic and self.before:
-            put_brush_away(self._viewer)
+        """Show the effect of a typed value, except while a painted layer is in use."""
+        if not is_automatic and self.before and not self._watch.is_paint_in_use:
             self._controller.show_before(False)
 
     def _on_finished(self, outputs: object) -> None:

@@ -251,8 +251,6 @@ class Unsaved:
             if study.motion.measured is not None:
                 self._controller.refresh()  # selects the slice
                 self._model.set_measured(study.motion.measured)
-            if study.tissue.preset is not None:
-                self._controller.form.motion.fields.offer_presets(study.tissue.preset)
             if study.motion.drawing.marks and not self._controller.refresh():
                 raise HmrfError(f"{Path(path).name} cannot be shown here: {dock.status}")
             if solution is not None:  # known before the drawing starts a solve

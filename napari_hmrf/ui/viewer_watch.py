@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from typing import Any
 
-from napari.layers import Points
+from napari.layers import Labels, Points
 from psygnal import Signal
 
 from napari_hmrf.field.frame import PLACE
@@ -14,6 +14,7 @@ from napari_hmrf.layers.image_choice import in_middle, uncover
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.pixel_copy import CHANGES
 from napari_hmrf.layers.still_paint import is_deformed, is_painted, lies_still
+from napari_hmrf.layers.unsaved_work import UnsavedWork
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.layers.viewer_undo import undo_of
 from napari_hmrf.study.study import Study
@@ -71,6 +72,8 @@ class ViewerWatch:
         self._space = ExitStack()
         # Message about a removed layer, until it is shown.
         self._removal_message = ""
+        # True from then on until another image is chosen.
+        self._reports_removal = False
         controller.slice_changed.connect(self._on_moved)
         self._slice = self._slice_shown
         self._form.edited.connect(self._on_choice)
@@ -132,6 +135,20 @@ class ViewerWatch:
             self._guide.show_message(f"{self._guide.invitation} {hidden}", "step")
 
     @property
+    def is_paint_in_use(self) -> bool:
+        """True while the undeformed image is shown with a painted layer on it."""
+        return self._in_use is not None
+
+    def hand_brush(self, layer: Any) -> None:
+        """Show the active painted layer on the undeformed image, and select its brush."""
+        if not layer.visible:  # an assignment ends the mode of a layer
+            layer.visible = True
+        if isinstance(layer, Labels):
+            layer.mode = "paint"
+        self._guide.add_aside("")  # the layer is no longer hidden
+        self._guide.show_message("")
+
+    @property
     def _painted(self) -> tuple[Any, Any]:
         """Choices of tissue and boundary: layers, None, or `BRIGHTNESS` for the tissue."""
         return self._form.tissue.choice.value, self._form.motion.boundary.choice.value
@@ -157,6 +174,9 @@ class ViewerWatch:
             if image is not None and not in_middle(self._viewer, image):
                 self._viewer.reset_view()
             self._guide.show_message(messages.describe_image_choice(image, hidden), why="step")
+        elif image is not None and self._reports_removal:
+            self._reports_removal = False
+            self._guide.show_message("")
         self._on_choice()
 
     def _rest(self) -> None:
@@ -232,7 +252,10 @@ class ViewerWatch:
         tissue, boundary = self._painted
         study, is_source = self._controller.study, layer is self._controller.source
         if is_source and study is not None and study.motion.drawing.marks:
-            return messages.DRAWING_GONE.format(name=layer.name)
+            recovered = shared(self._viewer, UnsavedWork).saved_files
+            is_kept = any(part.layer is layer for part in recovered)
+            sentence = messages.DRAWING_KEPT if is_kept else messages.DRAWING_GONE
+            return sentence.format(name=layer.name)
         words = {id(tissue): messages.TISSUE_GONE, id(boundary): messages.BOUNDARY_GONE}
         return "" if is_source else words.get(id(layer), "").format(name=layer.name)
 
@@ -244,7 +267,7 @@ class ViewerWatch:
             self.update_mouse_mode()
         if self._removal_message:
             self._guide.show_message(self._removal_message, why="step")
-            self._removal_message = ""
+            self._reports_removal, self._removal_message = True, ""
 
     # Mouse
 
@@ -264,6 +287,9 @@ class ViewerWatch:
         self.update_mouse_mode()
         if self._active is not before:  # unchanged if the dock only added a layer
             self._on_mode()
+            is_painted = self._active in self._painted and isinstance(self._active, Labels)
+            if is_painted and not self._active.visible and is_deformed(self._viewer):
+                self.hand_brush(self._active)
 
     @property
     def _is_painted(self) -> bool:

@@ -17,6 +17,7 @@ from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_undo import undo_of
 from napari_hmrf.study.models import SolverDetails
 from napari_hmrf.study.study_model import ImageChoice, ModelChoice, Part, StudyModel
+from napari_hmrf.tissue.material_presets import PLAIN
 from napari_hmrf.tissue.row_table import RowTable
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 
@@ -119,6 +120,21 @@ def test_reset_restores_drawing_and_settings_and_keeps_layers_as_one_step(layers
     assert model.choice == ImageChoice(**kept, hold_edge=False)
     assert model.undo().word == "reset the study"
     assert (model.choice, model.model, model.drawing) == before
+
+
+def test_the_tissues_to_paint_with_are_undone_reset_and_saved(layers, tmp_path):
+    model = StudyModel()
+    model.select(layers["image"])
+    model.choose(step=False, hold_edge=True)
+    model.choose(preset=PLAIN)
+    assert model.undo().word == "chose other tissues to paint with"
+    assert model.choice.preset is None
+    model.redo()
+    saved = read_study(write_study(tmp_path / "painted", study_of(model))).study
+    model.reset()
+    assert model.choice.preset is None
+    model.restore(saved, layers)
+    assert model.choice.preset == PLAIN
 
 
 def test_a_solver_setting_is_not_an_undo_step(layers):

@@ -55,6 +55,15 @@ def test_fat_beneath_the_skin_is_not_background():
         np.testing.assert_array_equal(background_of(shown), ~inside)
 
 
+@pytest.mark.parametrize("padding", [-1024, -2000, -3024])
+@pytest.mark.parametrize("dtype", [np.int16, np.float32])
+def test_padding_below_the_air_of_a_ct_is_background_together_with_the_air(padding, dtype):
+    picture, inside = head(dtype, -1000, 60)
+    row, col = np.indices(inside.shape)
+    picture[np.hypot(row - 30, col - 40) > 29] = padding
+    np.testing.assert_array_equal(background_of(picture), ~inside)
+
+
 @pytest.mark.parametrize(("low", "high"), [(0, 1), (-1000, 300)])
 def test_the_void_threshold_separates_air_from_tissue(low, high):
     picture, inside = head(low=low, high=high)

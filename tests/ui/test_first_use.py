@@ -14,6 +14,8 @@ from qtpy.QtWidgets import QApplication
 from napari_hmrf import Arrow, Drawing
 from napari_hmrf.contributions import dock
 from napari_hmrf.layers.compat import text_of
+from napari_hmrf.layers.unsaved_work import UnsavedWork
+from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.ui.motion.motion_messages import EARLY, HERE
 from tests.support.docks import quick
 from tests.support.person import Person, only
@@ -341,3 +343,19 @@ def test_a_message_reports_the_effect_of_a_removed_layer(widget, small_sample, s
         viewer.layers.remove(layer)
         settle(widget)
         assert widget.status.startswith(words)
+    viewer.add_image(np.ones((8, 9)), name="next")
+    settle(widget)
+    assert "was deleted" not in widget.status
+
+
+def test_a_message_reports_that_the_work_on_a_removed_image_is_kept(
+    widget, small_sample, settle, tmp_path
+):
+    viewer = widget._viewer
+    image, *_ = small_sample(viewer)
+    widget.drawing = Drawing((Arrow((10, 10), (1, 0), 3.0),))
+    settle(widget)
+    shared(viewer, UnsavedWork).saved_files[widget.study_model.slice] = tmp_path / "kept.study"
+    viewer.layers.remove(image)
+    settle(widget)
+    assert "The work is kept" in widget.status

@@ -6,7 +6,7 @@ from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QApplication, QDialog, QLabel, QPushButton, QTableWidget
 from scipy import ndimage
 
-from napari_hmrf import Grid, Material, Motion, Pictures, Study, Tissue, solve_study
+from napari_hmrf import Arrow, Drawing, Grid, Material, Motion, Pictures, Study, Tissue, solve_study
 from napari_hmrf.layers.metadata import TISSUE, layer_metadata
 from tests.support.screen import Screen
 
@@ -58,10 +58,13 @@ class FitScreen:
         Screen(dock).press("Fit to second image ...")
         shown = (each for each in QApplication.topLevelWidgets() if isinstance(each, QDialog))
         (self._dialog,) = [each for each in shown if each.isVisible()]
-        self._table = self._dialog.findChild(QTableWidget)
+        self.table = self._dialog.findChild(QTableWidget)
+
+    def close(self):
+        self._dialog.close()
 
     def _item(self, tissue, title):
-        table = self._table
+        table = self.table
         titles = [table.horizontalHeaderItem(each).text() for each in range(table.columnCount())]
         (row,) = table.findItems(tissue, Qt.MatchFlag.MatchExactly)
         return table.item(row.row(), titles.index(title))
@@ -128,6 +131,24 @@ def test_a_fit_replaces_a_registration_in_the_same_step(window, wait_for):
     wait_for(lambda: not dock.busy)
     assert dock.study.motion.measured is not None
     assert growth_of(dock) == [0, 0]
+
+
+def test_the_tables_of_a_fit_are_not_rebuilt_by_a_drag_nor_while_the_window_is_closed(window):
+    dock = window()
+    screen = FitScreen(dock)
+    built = []
+    screen.table.model().dataChanged.connect(lambda *_: built.append(1))
+    model = dock.study_model
+    model.draw(Drawing((Arrow((30, 30), (0, 1), 3.0),)), "pulled tissue")
+    assert not built
+    dock.materials = materials(0.1)
+    assert built
+    assert screen.value("tumour", "grows (%)") == "10"
+    screen.close()
+    built.clear()
+    dock.materials = materials(0.2)
+    assert not built
+    assert FitScreen(dock).value("tumour", "grows (%)") == "20"
 
 
 def test_what_cannot_be_fitted_changes_nothing(window, wait_for):

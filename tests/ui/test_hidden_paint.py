@@ -1,7 +1,10 @@
 """Tests that painted layers, which do not move, are never visible over a deformed image."""
 
+from dataclasses import replace
+
 import pytest
 
+from napari_hmrf import Arrow, Drawing
 from napari_hmrf.layers.metadata import metadata_of
 from napari_hmrf.ui.messages import MEANWHILE
 from tests.support.docks import viewer_of
@@ -63,6 +66,31 @@ def test_paint_that_the_user_shows_brings_back_the_undeformed_image(painted):
     assert deformed.visible
 
 
+def test_a_painted_layer_that_the_user_selects_or_makes_is_ready_for_paint(pulling_beside, settle):
+    person, widget = pulling_beside
+    viewer = person.viewer
+    widget.drawing = Drawing((Arrow((32, 32), (0, 6), 8.0),))
+    settle(widget)
+    deformed = deformed_of(viewer)
+    assert deformed.visible
+    Screen(widget).press("New tissue layer")
+    assert widget.status.startswith("Paint in 'Tissue' and 'Boundary': click a row")
+    settle(widget)
+    for layer in (widget.tissue, widget.boundary):
+        viewer.layers.selection.active = layer
+        assert layer.visible
+        assert layer.mode == "paint"
+        assert not deformed.visible
+        widget.materials = (*widget.materials[:-1], replace(widget.materials[-1], stiffness=70.0))
+        settle(widget)
+        assert layer.visible, "an edit of a table hides the layer"
+        assert layer.mode == "paint", "an edit of a table takes the brush"
+        widget.start()
+        settle(widget)
+        assert deformed.visible
+        assert not layer.visible
+
+
 def test_a_selected_layer_ends_the_view_of_the_undeformed_image(painted):
     widget, tissue, _ = painted
     viewer = viewer_of(widget)
@@ -77,7 +105,7 @@ def test_undone_paint_in_a_hidden_layer_is_solved(painted, settle):
     widget, tissue, _ = painted
     viewer = viewer_of(widget)
     viewer.layers.selection.active = tissue
-    tissue.visible, tissue.mode, tissue.selected_label = True, "paint", 0
+    tissue.selected_label = 0
     Touch(viewer).drag((8, 10), (12, 10))
     settle(widget)
     holes = widget.solution.tissue.sum()

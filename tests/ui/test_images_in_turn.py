@@ -331,6 +331,8 @@ def test_paint_on_a_second_image_is_displayed_above_that_image(viewer, widget, s
     settle(widget)
     second = brain(viewer, 40)
     widget.image = second[0]
+    widget.tool = "confidence"
+    widget.start()
     strokes = (Stroke("pin", (((20, 20),),), 4.0), Stroke("confidence", (((20, 20),),), 6.0))
     widget.drawing = Drawing((*MARKS.marks, *strokes))
     settle(widget)

@@ -2,11 +2,14 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from napari_hmrf.layers.complete_result import CompleteResult
 from napari_hmrf.layers.result_layers import Outputs
-from napari_hmrf.ui.messages import marks_of, warnings_of
+from napari_hmrf.study.measured_motion import MeasuredMotion
+from napari_hmrf.study.study import Grid, Motion, Study
+from napari_hmrf.ui.messages import can_unfold, marks_of, warnings_of
 
 
 @pytest.mark.parametrize(("folds", "marks"), [(0, {}), (5, {}), (6, {"folds": 6})])
@@ -36,3 +39,12 @@ def test_the_label_of_a_warning_without_folds_names_the_issue_in_a_few_words(not
     study = SimpleNamespace(grid=SimpleNamespace(shape=(4, 4)))
     done = CompleteResult(SimpleNamespace(study=study), Outputs(None, {}, 0), notes)
     assert warnings_of(done, "nothing")[1] == label
+
+
+def test_large_motion_is_offered_for_folds_unless_the_motion_was_measured():
+    y, precision = np.zeros((4, 4, 2), np.float32), np.zeros((4, 4, 2, 2), np.float32)
+    for measured in (None, MeasuredMotion(y, precision)):
+        study = Study(Grid((4, 4), (1, 1)), motion=Motion(measured=measured))
+        outputs = Outputs(SimpleNamespace(parts=None), {}, 99)
+        done = CompleteResult(SimpleNamespace(study=study), outputs, ())
+        assert can_unfold(done) == (measured is None)

@@ -66,6 +66,7 @@ class Display:
         # Paint, deformed with the tissue, and the current stroke, which is drawn on top.
         self._painted: npt.NDArray[np.uint8] | None = None
         self._stroke: Stroke | None = None
+        self._shows_confidence = False
         self.tissues: dict[int, Any] = {}
         self._viewer = viewer
         self._results = shared(viewer, ResultLayers)
@@ -215,7 +216,7 @@ class Display:
         state, result = self.state, self.result
         assert state is not None
         place, shown = state.moved.study.grid.known_place, dict[Any, LayerData](layers)
-        if state.confidence is not None:
+        if state.confidence is not None and self._shows_confidence:
             shown[CONFIDENCE] = confidence_layer(place, state.confidence)
         if (picture := self._picture()) is not None:
             shown[PAINTED] = painted_layer(place, picture, self.tissues)
@@ -226,6 +227,20 @@ class Display:
         is_volume = result is not None and len(place.plane) == 3
         picture_shown = result.layer("image") if is_volume and result is not None else None
         self._volume_look.link(self._image, picture_shown)
+
+    def show_confidence(self, is_shown: bool) -> None:
+        """Show the painted confidence, or remove its picture."""
+        before, self._shows_confidence = self._shows_confidence, is_shown
+        result, state = self.result, self.state
+        if is_shown == before or result is None or state is None:
+            return
+        with self.program_changes():
+            if not is_shown:
+                result.drop(CONFIDENCE)
+            elif state.confidence is not None:
+                place = state.moved.study.grid.known_place
+                result.put(CONFIDENCE, confidence_layer(place, state.confidence), show=False)
+        self._fade(self._is_faded)  # the layer may be new
 
     def show_painted(self, state: ShownDeformation) -> None:
         """Show the paint of a state."""

@@ -198,7 +198,11 @@ class Pointer:
         self.report_tool()
 
     def report_tool(self) -> None:
-        """Show the name of the tool on the canvas, unless other text is shown there."""
+        """Show the name of the tool on the canvas, unless other text is shown there.
+
+        The painted confidence is shown while its brush draws.
+        """
+        self.display.show_confidence(self.active and self.tool.name == "confidence")
         corner = self._corner
         if not corner.visible or corner.text == self._in_corner:
             self._in_corner = corner.text = self._words if self.active else ""

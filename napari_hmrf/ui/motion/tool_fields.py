@@ -305,19 +305,22 @@ class ToolFields(Container):
                 self.components.choices = _components(ways)
                 self.components.value = before
 
-    def offer_presets(self, preset: Preset) -> None:
-        """Offer all presets, beginning with a default, and choose this default.
+    def offer_presets(self, usual: Preset, chosen: Preset | None = None) -> None:
+        """Offer all presets, and choose one.
 
         Parameters
         ----------
-        preset : Preset
-            Default, which may be unknown to the menu, such as a preset from a study.
+        usual : Preset
+            Default, which is listed first.
+        chosen : Preset, optional
+            Preset to choose, such as one from a study, which may be unknown to the menu. By
+            default, `usual` is chosen.
         """
-        presets = dict.fromkeys((preset, *PRESETS, PLAIN))
+        presets = dict.fromkeys((usual, *PRESETS, PLAIN, chosen or usual))
         with self.preset.changed.blocked():
             self.preset.choices = []  # otherwise magicgui would keep the earlier order
             self.preset.choices = [(each.name, each) for each in presets]
-            self.preset.value = preset
+            self.preset.value = chosen or usual
 
     def offer(self, palette: Palette) -> None:
         """Offer tissues to paint, and keep the chosen tissue if the palette contains it."""

@@ -23,7 +23,7 @@ from napari_hmrf.ui.motion import pointer
 from napari_hmrf.ui.motion.motion_messages import NO_WAY, OPEN, OUTSIDE
 from napari_hmrf.ui.motion.tool import Tool
 from napari_hmrf.ui.motion.tools import BY_NAME
-from tests.support.docks import dock_in
+from tests.support.docks import dock_in, quick
 from tests.support.person import CTRL, SHIFT, Person, by_name, only
 from tests.support.screen import Screen
 from tests.support.timeouts import LONG_MS
@@ -420,8 +420,7 @@ def test_paint_is_displayed_at_full_motion_and_hidden_at_a_part_of_the_motion(
         widget.percent = percent
         settle(widget)
         assert [each.visible for each in paint] == [seen, seen]
-    person.key(PIN)
-    person.paint((12, 20), (12, 26))
+    person.paint((44, 47), (44, 48))
     settle(widget)
     assert [layers[each.name].visible for each in paint] == [True, True], (
         "a new result hides the paint"
@@ -442,6 +441,7 @@ def test_the_confidence_layer_belongs_to_a_slice_and_is_removed_with_image_or_do
     person, widget = open_beside(stack)
     viewer = person.viewer
     viewer.dims.set_current_step(0, 1)
+    widget.tool = "confidence"
     widget.start()
     settle(widget)
     marks = Arrow((24, 32), (0, 5), 6.0), Stroke("confidence", (((24, 30),),), 9.0, confidence=0.3)
@@ -480,10 +480,29 @@ def test_the_confidence_layer_is_not_offered_as_input_and_is_hidden_before_motio
     assert layer.visible
     widget.make_layers()
     widget.hand_brush(widget.boundary)
-    assert not layer.visible
-    person.viewer.layers.selection.active = widget.image
     settle(widget)
+    assert "Confidence" not in person.viewer.layers
+    widget.start()
     assert by_name(person.viewer, "Confidence").visible
+
+
+def test_the_confidence_layer_is_shown_only_while_its_brush_draws(brushing_beside, frame, settle):
+    person, widget = brushing_beside
+    layers = person.viewer.layers
+    person.key(CONFIDENCE)
+    person.paint((44, 45), (44, 46))
+    settle(widget)
+    for is_visible in (True, False):
+        layers["Motion"].visible = is_visible
+        Screen(widget).press("Pull")
+        settle(widget)
+        assert "Confidence" not in layers
+        Screen(widget).press("Confidence")
+        assert "Confidence" in layers
+    frame.close(widget)
+    again = quick(frame.open())
+    settle(again)
+    assert "Confidence" not in layers
 
 
 def test_tissue_is_painted_with_presets_if_there_is_no_table(brushing_beside, settle):
