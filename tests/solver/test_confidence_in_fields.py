@@ -77,7 +77,7 @@ def test_the_reported_error_includes_the_turn_of_a_flap_beside_a_gap(seed):
     y, c = np.zeros((2, *shape, 2))
     c[0] = c[-1] = 1
     y[-1] = 2 * random.normal(size=2)
-    problem = Problem(y, c, m)
+    problem = Problem(observed=y, confidence=c, stiffness=m)
     problem = problem.with_rest(scraps(problem.tissue, problem.known))
     prior = ElasticPrior(0.45)
     solution = solve(problem, prior, optimizer=Multigrid(0.01), backend="cpu")

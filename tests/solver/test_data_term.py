@@ -310,7 +310,10 @@ def test_landmarks_too_close_to_hold_the_rest_of_the_tissue_are_named_as_the_cau
     none = np.zeros((6, 6, 2))
     marks = Landmarks([(1.2, 1.5), (1.3, 1.5)], [(1.2, 0.0), (1.3, 3.0)], sd=0.01)
     with pytest.raises(ProblemError) as refusal:
-        solve(Problem(none, none, np.ones((6, 6)), landmarks=marks), backend="cpu")
+        solve(
+            Problem(observed=none, confidence=none, stiffness=np.ones((6, 6)), landmarks=marks),
+            backend="cpu",
+        )
     assert refusal.value.field == "landmarks"
 
 

@@ -71,7 +71,7 @@ def moved_as_one(mask, turn, shift, *, linear):
 def in_motion(mask, motion, marked):
     """Return a problem in which marked tissue has a motion, and the other tissue is free."""
     confidence = np.repeat((mask & marked)[..., None], mask.ndim, axis=-1) * 1.0
-    return Problem(motion, confidence, mask * 1.0)
+    return Problem(observed=motion, confidence=confidence, stiffness=mask * 1.0)
 
 
 def middle_of(mask):
@@ -163,7 +163,9 @@ def block_with_spur(length=4):
 def held_at_left(mask, **more):
     confidence = np.zeros((*mask.shape, mask.ndim))
     confidence[:, 1] = 1
-    return Problem(np.zeros_like(confidence), confidence, mask * 1.0, **more)
+    return Problem(
+        observed=np.zeros_like(confidence), confidence=confidence, stiffness=mask * 1.0, **more
+    )
 
 
 def test_the_tip_of_a_spur_carries_its_force_and_moment_to_the_tissue():
@@ -187,7 +189,7 @@ def test_a_spur_that_is_pulled_pulls_the_tissue_at_its_root(prior):
     observed, confidence = np.zeros((2, *mask.shape, 2))
     confidence[:, 1] = confidence[tip] = 1
     observed[tip] = 0, 0.5
-    problem = Problem(observed, confidence, mask * 1.0)
+    problem = Problem(observed=observed, confidence=confidence, stiffness=mask * 1.0)
     solution = solve(problem, prior, optimizer=TIGHT, backend="cpu")
     np.testing.assert_allclose(solution.displacement[4, 8], (0, 0.5), atol=1e-5)
     np.testing.assert_allclose(solution.displacement[tip], (0, 0.5), atol=1e-5)
@@ -203,7 +205,9 @@ def test_a_mark_that_ends_on_a_tip_is_the_mark_of_the_tissue_beside_it():
     rim = mask & ~np.all([np.roll(mask, step, axis) for step in (1, -1) for axis in (0, 1)], axis=0)
     confidence = np.repeat(rim[..., None], 2, axis=-1) * 1.0
     observed = np.broadcast_to(np.linspace(0, 1, len(mask))[:, None, None], confidence.shape)
-    solution = solve(Problem(observed, confidence, mask * 1.0), backend="cpu")
+    solution = solve(
+        Problem(observed=observed, confidence=confidence, stiffness=mask * 1.0), backend="cpu"
+    )
     np.testing.assert_allclose(solution.displacement[rim], observed[rim], atol=1e-6)
     assert solution.notes == ()
 
@@ -216,10 +220,14 @@ def test_a_precision_at_a_spur_acts_on_the_tissue_at_its_root():
     confidence = np.zeros_like(observed)
     confidence[:, 1] = 1
     observed[:, 1] = 0
-    problem = Problem(observed, confidence, mask * 1.0, precision=precision)
+    problem = Problem(
+        observed=observed, confidence=confidence, stiffness=mask * 1.0, precision=precision
+    )
     at_root = np.zeros(mask.shape)
     at_root[4, 8] = 0.5
-    same = Problem(observed, confidence, mask * 1.0, precision=at_root)
+    same = Problem(
+        observed=observed, confidence=confidence, stiffness=mask * 1.0, precision=at_root
+    )
     solution, other = (solve(each, optimizer=TIGHT, backend="cpu") for each in (problem, same))
     np.testing.assert_allclose(solution.displacement, other.displacement, atol=1e-5)
     assert 0.05 < solution.displacement[tip][1] < 0.5
@@ -235,7 +243,9 @@ def test_a_bridge_one_pixel_wide_is_named_with_its_length():
     confidence[3] = 0
     observed = np.zeros_like(confidence)
     observed[:, 11:, 1] = 4
-    solution = solve(Problem(observed, confidence, mask * 1.0), backend="cpu")
+    solution = solve(
+        Problem(observed=observed, confidence=confidence, stiffness=mask * 1.0), backend="cpu"
+    )
     assert any("joins pieces" in note and "5 pixels" in note for note in solution.notes)
     np.testing.assert_allclose(solution.displacement[3, 6:11, 1], [0, 0, 2, 4, 4], atol=1e-3)
 
@@ -261,7 +271,12 @@ def test_a_rigid_spur_moves_as_one_with_its_bone():
     force[2, 7] = 0.3, 0.1
     confidence = np.zeros_like(force)
     confidence[:, 1] = 1
-    problem = Problem(np.zeros_like(force), confidence, stiffness, loads=Loads(force=force))
+    problem = Problem(
+        observed=np.zeros_like(force),
+        confidence=confidence,
+        stiffness=stiffness,
+        loads=Loads(force=force),
+    )
     moved = solve(problem, optimizer=TIGHT, backend="cpu").displacement
     turn = moved[4, 8] - moved[4, 7]
     np.testing.assert_allclose(moved[tip], moved[4, 8] + 4 * turn, atol=1e-4)
@@ -276,7 +291,9 @@ def test_spurs_follow_their_own_sliding_part():
     confidence[1] = confidence[10] = 1
     observed = np.zeros_like(confidence)
     observed[10, :, 1] = 1.5
-    problem = Problem(observed, confidence, mask * 1.0, sliding=SlidingParts(labels))
+    problem = Problem(
+        observed=observed, confidence=confidence, stiffness=mask * 1.0, sliding=SlidingParts(labels)
+    )
     solution = solve(problem, optimizer=TIGHT, backend="cpu")
     np.testing.assert_allclose(solution.displacement[5, 11], (0, 0), atol=1e-3)
     np.testing.assert_allclose(solution.displacement[6, 11], (0, 1.5), atol=1e-3)

@@ -236,7 +236,7 @@ def test_a_warm_start_leaves_out_tissue_that_became_void():
         c[0] = c[-1] = 1
         c[removed | pulled] = 1
         y[removed, 1], y[pulled, 1] = of_removed, of_pulled
-        return Problem(y, c, np.full((24, 24), 1.0) * m, loads=loads)
+        return Problem(observed=y, confidence=c, stiffness=np.full((24, 24), 1.0) * m, loads=loads)
 
     earlier = [solve(problem(*by), PRIOR, backend="cpu") for by in ((0, 0), (2, 0.01))]
     cavity = problem(0, 3, m=~removed)

@@ -198,7 +198,7 @@ def test_the_smallest_jacobian_of_free_tissue_is_that_of_its_growth(strain) -> N
     c = np.zeros((3, 3, 3, 3))
     c[0, 0, 0], c[0, 0, 2, 0], c[0, 2, 0, 0], c[0, 0, 2, 1] = 1, 1, 1, 1
     loads = Loads(growth=np.full((3, 3, 3), strain))
-    problem = Problem(0 * c, c, np.ones((3, 3, 3)), loads=loads)
+    problem = Problem(observed=0 * c, confidence=c, stiffness=np.ones((3, 3, 3)), loads=loads)
     solution = solve(problem, NeoHookeanPrior(0.3), backend="cpu")
     assert solution.reach.least_jacobian == pytest.approx((1 + strain) ** 3, rel=1e-3)
 
