@@ -79,6 +79,7 @@ def write_study(
     *,
     image: bool = True,
     overlay: str = "",
+    second: str = "",
 ) -> Path:
     """Write a study to a file atomically, optionally with its solution.
 
@@ -98,6 +99,9 @@ def write_study(
     overlay : str, optional
         Name of the overlay that the window shows when it opens the file, such as "equivalent" (see
         `SoftTissue.overlay`). By default, the window keeps its own choice.
+    second : str, optional
+        Name of the second image, which is not in the file. The window asks for this image when it
+        opens the file.
 
     Returns
     -------
@@ -122,7 +126,9 @@ def write_study(
     target = Path(checked_target(path))
     if not target.suffix:
         target = target.with_name(target.name + SUFFIX)
-    return array_file.write(target, STUDY_FORMAT, _Content(study, solution, image, overlay=overlay))
+    return array_file.write(
+        target, STUDY_FORMAT, _Content(study, solution, image, overlay=overlay, second=second)
+    )
 
 
 def read_study(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None = None) -> StudyFile:
@@ -215,8 +221,17 @@ def image_named_in(path: str | os.PathLike[str]) -> str:
 
 def overlay_named_in(path: str | os.PathLike[str]) -> str:
     """Return the name of the overlay in the header of a study file, or "" if there is none."""
+    return _view_in(path, "overlay")
+
+
+def second_image_named_in(path: str | os.PathLike[str]) -> str:
+    """Return the name of the second image in the header of a study file, or ""."""
+    return _view_in(path, "second")
+
+
+def _view_in(path: str | os.PathLike[str], name: str) -> str:
     view = array_file.header_of(path).get("view")
-    return str(view.get("overlay", "")) if isinstance(view, dict) else ""
+    return str(view.get(name, "")) if isinstance(view, dict) else ""
 
 
 def replay(
@@ -290,7 +305,7 @@ def _refuse_other_grid(grid: Grid, solution: Solution) -> None:
 
 
 class _Content(NamedTuple):
-    """Content of a file: study, solution, and name of the overlay in the window.
+    """Content of a file: study, solution, and names of the overlay and second image in the window.
 
     `image` is True if the image is included; `digest` is the digest of the image.
     """
@@ -300,6 +315,7 @@ class _Content(NamedTuple):
     image: bool = True
     digest: str = ""
     overlay: str = ""
+    second: str = ""
 
 
 def _is_of_image(tissue: Tissue) -> bool:
@@ -352,8 +368,9 @@ def _describe(content: _Content) -> tuple[array_file.Header, array_file.Arrays]:
     }
     if motion.cavity != Cavity():
         header["motion"]["cavity"] = asdict(motion.cavity)
-    if content.overlay:
-        header["view"] = {"overlay": content.overlay}
+    view = {"overlay": content.overlay, "second": content.second}
+    if any(view.values()):
+        header["view"] = {name: value for name, value in view.items() if value}
     poisson = study.prior.poisson if isinstance(study.prior, Elastic) else 0.0
     arrays: dict[str, Any] = {
         "tissue_labels": tissue.labels,

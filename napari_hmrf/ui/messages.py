@@ -44,6 +44,10 @@ BEHIND = (
     "them."
 )
 NOT_CHOSEN = "'{}' was not chosen, because another image is in use. To use it, choose it above."
+SECOND_IMAGE = (
+    "The study was saved with the second image '{}', which is not in its file. Open this image to "
+    "compare, register or fit."
+)
 #: First word of messages about a saved file, which stay visible during later work.
 SAVED = "Saved"
 #: Question before a reset.

@@ -37,6 +37,7 @@ from napari_hmrf.io.study_file import (
     image_named_in,
     overlay_named_in,
     read_study,
+    second_image_named_in,
     write_study,
 )
 from napari_hmrf.layers.compat import is_quitting, slice_hidden, stop_quitting
@@ -146,9 +147,20 @@ class Unsaved:
         self._model, self._work = self._undo.model, shared(viewer, UnsavedWork)
         self._writer = threading.Thread()
         self._keep_timer = single_shot(dock.native, _REST, self._keep)
-        self._connections = EventConnections((self._model.changed, self._on_edited))
+        # Image of an opened study, and the name of its second image, until this is in the viewer.
+        self._awaited: tuple[Any, str] = None, ""
+        # Deferred, because the menus list a new layer later.
+        self._second_timer = single_shot(dock.native, 0, self._choose_second)
+        self._connections = EventConnections(
+            (self._model.changed, self._on_edited),
+            (viewer.layers.events.inserted, self._on_images),
+            (controller.form.image.changed, self._on_images),
+            (controller.form.result.second.changed, self._on_images),
+        )
         self._gui = GuiThread()
         self._autosave = AutosaveNotice()
+        self._missing = MissingImageNotice()
+        dock.insert(0, self._missing)
         dock.insert(0, self._autosave)
         dock.insert(0, RecoveryNotice(lambda file: attempt(partial(self._open_recovered, file))))
         _all.add(self)
@@ -173,7 +185,7 @@ class Unsaved:
         """
         study = self._dock.study
         solution = self._dock.solution if self._controller.shows(study) else None
-        written = write_study(path, study, solution, overlay=self._overlay)
+        written = write_study(path, study, solution, overlay=self._overlay, second=self._second)
         apart, here = self._landmarks_apart(study), self._model.slice
         has_slices = self._controller.form.extent.has_slices
         extent = messages.extent_name(study.grid.known_place.slice_seen) if has_slices else ""
@@ -193,6 +205,30 @@ class Unsaved:
         """Overlay of the window, or "" if it needs a layer that is not in the file."""
         chosen: str = self._controller.form.result.overlay.value
         return "" if chosen in ("difference", "uncertainty") else chosen
+
+    @property
+    def _second(self) -> str:
+        """Name of the second image, or of the one that the opened study still lacks; or ""."""
+        chosen = self._controller.form.result.second.value
+        if chosen is not None:
+            return str(chosen.name)
+        image, name = self._awaited
+        return name if image is self._dock.image else ""
+
+    def _on_images(self, *_: Any) -> None:
+        """Choose the missing second image once the menus list a new layer."""
+        self._second_timer.start()
+
+    def _choose_second(self) -> None:
+        """Choose the second image that an opened study names, once it is in the viewer."""
+        (image, name), second = self._awaited, self._controller.form.result.second
+        if name and image is self._dock.image and second.value is None:
+            named = [layer for layer in second.offered if layer.name == name]
+            if named:
+                with self._binding.automatically():
+                    second.value = named[-1]
+                self._awaited = None, ""
+        self._missing.show_name(self._second if second.value is None else "")
 
     def _landmarks_apart(self, study: Study) -> str:
         """Return the name of the landmark layer if any of its pairs was not added, else ""."""
@@ -263,6 +299,9 @@ class Unsaved:
         overlay = self._controller.form.result.overlay
         if (name := overlay_named_in(path)) in overlay.choices:
             overlay.value = name
+        self._awaited = dock.image, second_image_named_in(path)
+        self._choose_second()
+        self._missing.show_name(self._awaited[1])
         dock.fit_view()
 
     def _undrawn_image(self, image: Any) -> Any:
@@ -371,15 +410,17 @@ class Unsaved:
                 return
             self._work.saved_files[slice_part] = file
             self._writer = threading.Thread(
-                target=self._write, args=(slice_part, file, study, self._overlay), daemon=True
+                target=self._write,
+                args=(slice_part, file, study, self._overlay, self._second),
+                daemon=True,
             )
             self._writer.start()
 
-    def _write(self, slice_part: Part, file: Path, study: Study, overlay: str) -> None:
+    def _write(self, slice_part: Part, file: Path, study: Study, overlay: str, second: str) -> None:
         """Write a recovery file, and report on the GUI thread if this failed."""
         failure: Exception | None = None
         try:
-            write_study(file, study, overlay=overlay)
+            write_study(file, study, overlay=overlay, second=second)
         except (OSError, TypeError, ValueError) as error:
             _log.exception("the recovery file of unsaved work could not be written")
             failure = error
@@ -410,6 +451,7 @@ class Unsaved:
         _all.discard(self)
         self._connections.release()
         self._keep_timer.stop()
+        self._second_timer.stop()
         self._gui.release()
 
 
@@ -568,6 +610,24 @@ class AutosaveNotice(Container):
         self._text.show_text(shown.replace(os.sep, f"{os.sep}\u200b"))
         self._text.tooltip = shown
         self.visible = bool(shown)
+
+
+class MissingImageNotice(Container):
+    """Notice that asks for the second image of an opened study.
+
+    It remains until a second image or another image is chosen.
+    """
+
+    def __init__(self) -> None:
+        self._text = Prose()
+        super().__init__(widgets=[self._text], labels=False)
+        self.margins = (4, 0, 0, 0)
+        self.show_name("")
+
+    def show_name(self, name: str) -> None:
+        """Ask for an image; "" hides the notice."""
+        self._text.show_text(messages.SECOND_IMAGE.format(name) if name else "")
+        self.visible = bool(name)
 
 
 def _discard(file: Path) -> None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from napari.components import ViewerModel
-from qtpy.QtWidgets import QFileDialog
+from qtpy.QtWidgets import QFileDialog, QLabel
 
 from napari_hmrf import (
     Arrow,
@@ -138,6 +138,30 @@ def test_the_overlay_is_saved_with_a_study_and_shown_again(
     assert stack.overlay == "equivalent"
     (shown,) = (layer for layer in viewer.layers if "equivalent" in layer.name)
     assert shown.visible
+
+
+def asks_for_after(dock):
+    """Return whether the dock asks for the image 'after'."""
+    labels = dock.native.findChildren(QLabel)
+    return any("second image 'after'" in each.text() for each in labels)
+
+
+def test_an_opened_study_asks_for_its_second_image_and_chooses_it(dock, viewer, wait_for, tmp_path):
+    first, second = (viewer.add_image(np.eye(*SHAPE), name=name) for name in ("before", "after"))
+    dock.image = first
+    dock.compare_with = second
+    path = dock.save_study(tmp_path / "pair")
+    viewer.layers.clear()
+    dock.open_study(path)
+    wait_for(lambda: not dock.busy)
+    assert asks_for_after(dock)
+    again = dock.save_study(tmp_path / "again")
+    assert dock.compare_with is None
+    viewer.add_image(np.eye(*SHAPE), name="after")
+    wait_for(lambda: dock.compare_with is not None and not asks_for_after(dock))
+    assert dock.image.name == "before"
+    dock.open_study(again)
+    assert dock.compare_with.name == "after", "the layer is in the viewer already"
 
 
 def test_a_study_without_a_known_overlay_leaves_the_chosen_overlay(dock, tmp_path):
