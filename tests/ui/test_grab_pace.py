@@ -99,12 +99,12 @@ def test_only_the_last_of_the_drawings_made_during_a_solve_is_solved(
     solved, first_begun, others_drawn = [], threading.Event(), threading.Event()
     check = Problem.__init__
 
-    def recorded(self, y, *wait_for_follower, **options):
-        solved.append(round(float(y.max()), 1))
+    def recorded(self, *, observed, **options):
+        solved.append(round(float(observed.max()), 1))
         if solved[-1] == 0.1:
             first_begun.set()
             assert others_drawn.wait(LONG)
-        check(self, y, *wait_for_follower, **options)
+        check(self, observed=observed, **options)
 
     monkeypatch.setattr(Problem, "__init__", recorded)
     follower.follow(pulled(0.1))
