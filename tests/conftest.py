@@ -189,6 +189,13 @@ def _no_memory(settings_folders):
 
 
 @pytest.fixture
+def new_dock():
+    """Discard the shared docks, so that the test gets a new dock."""
+    for is_framed in _built:
+        _shared(is_framed).discard()
+
+
+@pytest.fixture
 def widget(qtbot):
     """Return the shared dock beside a viewer without a window, with fast settings."""
     return quick(_shared_dock(is_framed=False).open())

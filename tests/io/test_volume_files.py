@@ -238,6 +238,7 @@ def test_an_image_with_another_order_of_axes_is_reordered_to_the_result(solution
         solution,
         displacement=solution.displacement.transpose(*order, 3)[..., order],
         tissue=solution.tissue.transpose(order),
+        elasticity=solution.elasticity.mapped(lambda values: values.transpose(order)),
         spacing=stored.upright.place.spacing,
         frame=stored.upright.place.frame(volume=True).as_dict(),
     )

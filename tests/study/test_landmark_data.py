@@ -12,6 +12,7 @@ from napari_hmrf import (
     Landmark,
     Motion,
     Pictures,
+    Problem,
     ProblemError,
     Study,
     Tissue,
@@ -54,8 +55,13 @@ def test_a_landmark_with_a_standard_deviation_is_data_of_the_problem():
 
 
 def replace_landmarks(problem, landmarks):
-    arrays = problem.observed, problem.confidence, problem.stiffness
-    return type(problem)(*arrays, spacing=problem.spacing, landmarks=landmarks)
+    return Problem(
+        observed=problem.observed,
+        confidence=problem.confidence,
+        stiffness=problem.stiffness,
+        spacing=problem.spacing,
+        landmarks=landmarks,
+    )
 
 
 def test_a_smaller_standard_deviation_brings_tissue_closer_to_the_target():

@@ -205,6 +205,7 @@ def assert_headers_not_cut(table):
         assert width <= header.sectionSize(column) or table.isColumnHidden(column), title
 
 
+@pytest.mark.usefixtures("new_dock")
 def test_every_field_and_button_has_a_tooltip(open_beside):
     _, found = open_beside()
     without = []

@@ -264,7 +264,7 @@ def test_measurements_of_a_volume_have_columns_for_voxels_and_volumes(
     heads = [table.horizontalHeaderItem(at).text() for at in range(table.columnCount())]
     unit = widget.study.grid.unit
     assert heads[2:4] == [f"volume ({'px' if unit == 'pixel' else unit}³)", "volume change (%)"]
-    assert heads[-1] == "folds (voxels)"
+    assert "folds (voxels)" in heads
     table.window().findChild(QPushButton).click()
     table.window().close()
     assert path.read_text().startswith("label,name,voxels,volume,volume_change_percent")

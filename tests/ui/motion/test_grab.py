@@ -580,6 +580,7 @@ def test_keys_of_tools_work_after_a_choice_from_a_menu(pulling, settle):
     assert widget.tool == "move"
 
 
+@pytest.mark.usefixtures("new_dock")
 def test_the_drawing_is_scaled_with_a_new_unit_of_the_image(pulling_beside, settle):
     person, widget = pulling_beside
     person.drag((30, 30), (34, 34))
