@@ -634,10 +634,10 @@ MUTATIONS = (
         "solver/test_quadtree.py",
     ),
     Mutation(
-        "solver/live_solver.py",
-        "    return one.missing <= other.missing",
-        "    return one.missing >= other.missing",
-        "solver/test_live_solver.py",
+        "solver/warm_start.py",
+        "        if _shortfall(each) < _shortfall(best) and",
+        "        if _shortfall(each) > _shortfall(best) and",
+        "solver/test_warm_start.py solver/optimizers/test_large_budget.py",
     ),
     Mutation(
         "solver/solution.py",
@@ -744,16 +744,16 @@ MUTATIONS = (
         "field/test_measurement.py",
     ),
     Mutation(
-        "field/comparison.py",
-        "rmsd = float(np.sqrt((distance[known] ** 2).mean()))",
-        "rmsd = float(distance[known].mean())",
-        "field/test_measurement.py",
+        "field/deformation.py",
+        "float(np.sqrt((difference**2).sum(axis=-1).mean()))",
+        "float(np.sqrt((difference**2).sum(axis=-1)).mean())",
+        "field",
     ),
     # io: fields and places
     Mutation(
         "io/nifti.py",
-        "        turn[:, 2] *= -1 if zooms[0] < 0 else 1",
-        "        turn[:, 0] *= -1 if zooms[0] < 0 else 1",
+        "    turn[:, 2] *= -1 if zooms[0] < 0 else 1",
+        "    turn[:, 0] *= -1 if zooms[0] < 0 else 1",
         "io/test_fields.py",
     ),
     Mutation(
@@ -807,8 +807,8 @@ MUTATIONS = (
     ),
     Mutation(
         "io/landmark_files.py",
-        "(places * _TO_LPS[system])[:, ::-1]",
-        "places[:, ::-1]",
+        "(factor * places * _TO_LPS[system])[:, ::-1]",
+        "(factor * places)[:, ::-1]",
         "io/test_landmark_files.py",
     ),
     Mutation(
