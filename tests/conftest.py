@@ -202,12 +202,6 @@ def widget(qtbot):
 
 
 @pytest.fixture
-def docked(unstyled, make_napari_viewer):
-    """Return the dock in the window of a real viewer, with fast settings."""
-    return quick(dock_in(make_napari_viewer()))
-
-
-@pytest.fixture
 def busy_thread():
     """Occupy the compute thread until released, as a long compilation would."""
     with long_work() as release:

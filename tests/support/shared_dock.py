@@ -2,8 +2,8 @@
 
 Building a dock takes longer than most tests of docks. A shared dock is therefore cleaned after each
 test: its work is cancelled, layers are removed, and controls and attributes get their first values
-again. A guard then compares all controls and attributes with those of the new dock, and discards
-the dock if anything differs, so that no test depends on another.
+again. A guard then compares the values of all controls, and whether they are enabled and shown,
+with those of the new dock, and discards the dock if anything differs.
 """
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ class SharedDock:
 
 
 def _settle():
-    """End all work of the compute thread, process all events and stop all timers."""
+    """End all work of the compute thread, and process all events and deletions."""
     compute_thread.submit(lambda: None).result(LONG)
     QApplication.processEvents()
     QCoreApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete)
