@@ -65,11 +65,11 @@ setup-for-docs:
 demo: setup
 	@$(VENV)/bin/napari-hmrf demo
 
-# Three processes: some of them wait, for a window or for shaders, while two cores compute.
+# A third process would take longer to start than two cores wait.
 # The plugins are named: of those that pytest finds by itself it rewrites all modules, and all of
 # napari is one.
 test: setup-for-windows
-	@PYTHONDONTWRITEBYTECODE= PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 $(HEADLESS) $(RUN) -m pytest $(PLUGINS) -n 3 --dist worksteal
+	@PYTHONDONTWRITEBYTECODE= PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 $(HEADLESS) $(RUN) -m pytest $(PLUGINS) -n 2 --dist worksteal
 
 campaigns: setup-for-windows
 	@$(HEADLESS) $(RUN) scripts/campaigns.py --page docs/validation/campaigns.md

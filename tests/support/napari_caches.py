@@ -83,6 +83,20 @@ def check_callbacks_once():
 
 
 @cache
+def set_sliders_once():
+    """Make napari check its sliders only if they change, and not for each new layer."""
+    from napari.components import Dims
+
+    change = Dims.__setattr__
+
+    def set_attribute(dims, name, value):
+        if not (type(value) in (int, tuple) and value == vars(dims).get(name)):
+            change(dims, name, value)
+
+    Dims.__setattr__ = set_attribute
+
+
+@cache
 def inspect_functions_once():
     """Make psygnal inspect the parameters of a function only once."""
     inspect_it = inspect.signature

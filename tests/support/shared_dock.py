@@ -15,7 +15,7 @@ from collections import deque
 from weakref import WeakKeyDictionary, WeakSet, WeakValueDictionary
 
 from psygnal import SignalInstance
-from qtpy.QtCore import QCoreApplication, QEvent
+from qtpy.QtCore import QCoreApplication, QEvent, Qt
 from qtpy.QtWidgets import (
     QAbstractButton,
     QAbstractItemView,
@@ -99,7 +99,7 @@ class SharedDock:
                 new.restore_controls()
                 new.restore_attributes()
                 dock.fields.show_for(dock.fields._tool)
-                new.restore_visibility()
+                new.restore_parts()
             dock.show_message("")
             return errors[0] if errors else new.difference()
         except Exception as error:  # noqa: BLE001 - a test may leave the dock in any state
@@ -126,7 +126,7 @@ class _State:
         for shared in _shared[viewer].values():
             self._record(shared)
         self._controls = [(each, _state(each, dock.native)) for each in _controls(dock)]
-        self._hidden = [(each, each.isHidden()) for each in _parts(dock)]
+        self._parts = [(each, each.isHidden(), _is_disabled(each)) for each in _parts(dock)]
 
     def _record(self, root):
         """Record the attributes of an object and of all objects of the package it refers to."""
@@ -157,11 +157,13 @@ class _State:
                 _write(control, value)
         QApplication.processEvents()
 
-    def restore_visibility(self):
-        """Show and hide the same parts of the dock as when it was new."""
-        for part, is_hidden in self._hidden:
+    def restore_parts(self):
+        """Show and enable the same parts of the dock as when it was new."""
+        for part, is_hidden, is_disabled in self._parts:
             if part.isHidden() != is_hidden:
                 part.setHidden(is_hidden)
+            if _is_disabled(part) != is_disabled:
+                part.setDisabled(is_disabled)
 
     def restore_attributes(self):
         """Give each attribute its first value, and each signal its first callbacks."""
@@ -219,6 +221,11 @@ def _controls(dock):
     """Return all Qt controls of a dock that hold a value."""
     kinds = QAbstractButton, QAbstractSlider, QAbstractSpinBox, QComboBox, QLineEdit
     return [each for each in _parts(dock) if isinstance(each, kinds)]
+
+
+def _is_disabled(part):
+    """Return whether a part is disabled by itself, and not by a part that contains it."""
+    return part.testAttribute(Qt.WidgetAttribute.WA_ForceDisabled)
 
 
 def _state(control, native):

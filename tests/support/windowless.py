@@ -175,7 +175,11 @@ class Frame:
             if other is not dock and not other.away:
                 self.close(other)
         self._docks = [dock]
-        self.viewer.layers.clear()
+        layers = self.viewer.layers
+        layers.selection.clear()
+        with layers.events.blocker_all():  # each removal would update the whole dock
+            del layers[1:]
+        layers.clear()
         for part, values in self._home:
             part.update(values)
 

@@ -6,6 +6,7 @@ from tests.support.napari_caches import (
     check_callbacks_once,
     check_widgets_once,
     inspect_functions_once,
+    set_sliders_once,
     skip_thumbnails,
 )
 
@@ -21,5 +22,6 @@ def _quick_docks(request, monkeypatch):
     check_widgets_once()
     check_callbacks_once()
     inspect_functions_once()
+    set_sliders_once()
     if not {"make_napari_viewer", "thumbnails"} & set(request.fixturenames):
         skip_thumbnails(monkeypatch)
