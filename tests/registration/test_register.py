@@ -87,6 +87,8 @@ def test_long_pixels_give_the_same_motion_in_millimetres(pair):
     longer = np.array([2.0, 1.0])
     found = register(before, after, spacing=longer)
     assert np.linalg.norm(found.displacement / longer - truth, axis=-1)[8:-8, 8:-8].mean() < 0.15
+    apart = np.abs(found.resample(after) - before), np.abs(after - before)
+    assert apart[0][8:-8, 8:-8].mean() < 0.2 * apart[1][8:-8, 8:-8].mean()
 
 
 def test_the_moving_image_is_resampled_to_the_fixed_one(pair, found):
@@ -259,6 +261,15 @@ def test_a_black_background_is_no_observation():
     precision = level.linear(moved, 1.0).precision
     assert checked_precision(precision, known) is not None
     assert (precision == 0).all(axis=(-2, -1)).any()
+
+
+def test_a_speck_in_one_image_hardly_moves_the_tissue():
+    image, known = texture(1, (40, 40)).astype(np.float32), np.ones((40, 40), bool)
+    speck = image.copy()
+    speck[17, 17] = 1
+    level = ImageLevel(image, speck, (known, known), 1, (1.0, 1.0), lambda: None)
+    observed = level.linear(np.zeros((40, 40, 2), np.float32), 1.0).observed
+    assert np.linalg.norm(observed, axis=-1).max() < 0.15
 
 
 @pytest.mark.parametrize("unit", [1e-30, 1e30])
