@@ -637,7 +637,7 @@ MUTATIONS = (
         "solver/warm_start.py",
         "        if _shortfall(each) < _shortfall(best) and",
         "        if _shortfall(each) > _shortfall(best) and",
-        "solver/test_warm_start.py solver/optimizers/test_large_budget.py",
+        "solver/optimizers/test_large_budget.py",
     ),
     Mutation(
         "solver/solution.py",
@@ -650,7 +650,7 @@ MUTATIONS = (
         "field/warp.py",
         "        drawn &= ~covered | (inside & ~deep)",
         "        drawn &= ~covered",
-        "field/test_warp.py",
+        "field/test_parts.py",
     ),
     Mutation(
         "field/warp.py",
@@ -680,13 +680,13 @@ MUTATIONS = (
         "field/moved_points.py",
         "tree.query(site[void] * size)",
         "tree.query(site[void])",
-        "field/test_volume_fields.py",
+        "field/test_volume_motion.py",
     ),
     Mutation(
         "field/other_grid.py",
         "        out[:, -1] -= np.array(frame.index)[across]",
         "        out[:, -1] += np.array(frame.index)[across]",
-        "layers/test_field_layers.py",
+        "field/test_volume_motion.py",
     ),
     Mutation(
         "field/landmark_spline.py",
@@ -699,7 +699,7 @@ MUTATIONS = (
         "field/frame.py",
         "translate = (np.linalg.inv(np.array(self.affine)) @ world)[:-1]",
         "translate = world[:-1]",
-        "field/test_frame.py layers/test_layers_frame.py",
+        "field/test_frame.py",
     ),
     Mutation(
         "field/frame.py",
@@ -735,7 +735,7 @@ MUTATIONS = (
         "field/strain.py",
         "            + 2 * tensor[..., 0, 1] ** 2\n",
         "            + tensor[..., 0, 1] ** 2\n",
-        "field/test_deformation.py field/test_measurement.py",
+        "field/test_quantities.py",
     ),
     Mutation(
         "field/measurement.py",
@@ -754,7 +754,7 @@ MUTATIONS = (
         "io/nifti.py",
         "    turn[:, 2] *= -1 if zooms[0] < 0 else 1",
         "    turn[:, 0] *= -1 if zooms[0] < 0 else 1",
-        "io/test_fields.py",
+        "io/test_foreign_fields.py",
     ),
     Mutation(
         "io/fields.py",
@@ -833,7 +833,7 @@ MUTATIONS = (
         "io/moving_pictures.py",
         "forward_frames[-2:0:-1]",
         "forward_frames[::-1]",
-        "io/test_figures.py",
+        "field/test_measurement.py",
     ),
     # registration
     Mutation(

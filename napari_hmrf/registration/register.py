@@ -30,7 +30,7 @@ _SITES = 50_000
 #: Stiffness with which the tissue around a site holds it, relative to its Young's modulus.
 _COUPLING = 6.0
 #: Factor of the variance, by number of axes, chosen on the same deformations as other settings.
-_NOISE = {2: 0.1, 3: 1.5}
+_NOISE = {2: 0.1, 3: 0.19}
 
 
 def register(
@@ -262,7 +262,8 @@ def _standard_deviation(found: Match) -> float:
     """Return the standard deviation of the displacement, from the residual and the precision.
 
     The covariance at a site is about the inverse of the precision of the images and of the tissue
-    around the site, times the variance of the normalized brightness.
+    around the site, times the variance of the normalized brightness. The precision of the images
+    was multiplied by the size of a pixel and divided by their weight, which the variance undoes.
     """
     precision = found.images.precision
     axes, spacing = precision.shape[-1], found.solution.spacing
@@ -273,7 +274,7 @@ def _standard_deviation(found: Match) -> float:
         return math.inf
     coupling = _COUPLING * math.prod(spacing) ** (1 - 2 / axes)
     covariance = np.linalg.inv(seen + coupling * np.eye(axes))
-    variance = _NOISE[axes] * found.residual**2 / found.images.weight
+    variance = _NOISE[axes] * found.residual**2 * math.prod(spacing) / found.images.weight
     return math.sqrt(variance * float(np.trace(covariance, axis1=1, axis2=2).mean()) / axes)
 
 

@@ -133,9 +133,9 @@ def test_freely_growing_tissue_has_no_elastic_strain(prior, shape):
 
 
 @pytest.mark.parametrize("prior", [ElasticPrior(NU), NeoHookeanPrior(NU)])
-def test_growth_along_one_direction_is_removed_from_the_strain(prior):
-    along = np.zeros((2, 2))
-    along[1, 1] = 0.2
+@pytest.mark.parametrize("through", [(), (0.3,)])
+def test_growth_along_each_direction_is_removed_from_the_strain(prior, through):
+    along = np.diag([*through, 0.0, 0.2])
     assert measured_row(free_disc(prior, tensor=along)).largest_strain == pytest.approx(0, abs=0.05)
 
 

@@ -119,6 +119,11 @@ def test_parts_that_move_onto_each_other_overlap():
     assert not overlaps[:, :8].any()
     d[:, 15:, 1] = -1
     assert not inverse_map_and_overlaps(d, 1, None, parts)[2].any()
+    d[:, 15:, 1] = -2
+    origin, _, overlaps = inverse_map_and_overlaps(d, 1, None, parts)
+    assert not overlaps.any()
+    again = inverse_map_and_overlaps(d, 1, None, 1 - parts)
+    np.testing.assert_array_equal(again[0], origin, "the order of the labels matters")
 
 
 @pytest.fixture(scope="module")

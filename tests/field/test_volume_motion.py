@@ -353,6 +353,22 @@ def test_points_and_images_on_other_grids_move_with_a_volume():
         OtherGrid.of(found, here, Frame.at((1.0, 1.0), ("mm", "mm")))
 
 
+def test_only_the_slice_of_a_solution_moves_in_a_volume():
+    here = Frame.at((2.0, 1.0, 0.5), ("mm",) * 3, index=(3, 0, 0))
+    found = solution(np.full((6, 8, 2), (1.0, -0.5)), spacing=(1.0, 0.5))
+    moved = OtherGrid.of(found, here, here).moved_points(np.array([[3.0, 2, 4], [2, 2, 4]]))
+    np.testing.assert_allclose(moved, [[3, 3, 3], [2, 2, 4]])
+
+
+def test_a_point_beside_tissue_follows_the_tissue_that_is_nearest_in_millimetres():
+    tissue = np.zeros((5, 7), bool)
+    tissue[0, 3] = tissue[2, 2] = True  # two rows and one column away
+    d = np.where(np.arange(7)[:, None] < 3, (0.0, 3.0), (2.0, 0.0)) * tissue[..., None]
+    for sizes, expected in (((1.0, 1.0), (0, 3)), ((1.0, 3.0), (2, 0))):
+        found = solution(d, tissue, sizes).at([(2.0, 3.0)], extend=True)
+        np.testing.assert_allclose(found, [expected])
+
+
 def test_inverting_the_inverse_of_a_volume_restores_the_displacement():
     d = hill(2.0)
     back, residual = inverse_displacement(d, spacing=SIZE)

@@ -6,8 +6,10 @@ import pytest
 from napari_hmrf import warp
 from napari_hmrf.data import phantom, reference_displacement
 from napari_hmrf.field.deformation import count_folds
+from napari_hmrf.field.resample import on_finer_grid
 from napari_hmrf.field.warp import inverse_map_and_overlaps
 from napari_hmrf.fields import inverse_map, resample
+from napari_hmrf.solver.solution import Provenance, Solution
 
 
 def site_indices(shape):
@@ -118,6 +120,13 @@ def test_colour_channels_and_alpha_move_together(picture):
 def test_displacements_are_in_the_unit_of_the_pixel_spacing(picture):
     moved = warp(picture, field(picture.shape, (2.0, 1.5)), spacing=(2.0, 0.5))
     np.testing.assert_array_equal(moved[1:, 3:], picture[:-1, :-3])
+
+
+def test_a_solution_on_larger_pixels_moves_an_image_by_the_same_length(picture):
+    d, tissue = field((12, 16), (4.0, -2.0)), np.ones((12, 16), bool)
+    coarse = Solution(d, np.zeros(1), (), tissue, (4.0, 1.0), Provenance("cpu", ""))
+    fine = on_finer_grid(coarse, np.ones(picture.shape, bool), 2)
+    np.testing.assert_array_equal(fine.warp(picture)[2:, :-4], picture[:-2, 4:])
 
 
 @pytest.mark.parametrize(

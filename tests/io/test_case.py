@@ -476,6 +476,16 @@ def test_an_image_of_the_same_size_at_another_place_is_refused(files, capsys):
     assert "flat.nrrd: is not in the same place as the field" in capsys.readouterr().err
 
 
+def test_labels_of_one_slice_fit_the_slice_at_their_own_place(files):
+    folder, _, labels, _ = files
+    place = PLACE._replace(origin=(-10.0, 20.0, 7.0))
+    write_image(folder / "own.nrrd", ImageFile(labels[np.newaxis], place))
+    given = case(folder, labels=folder / "own.nrrd", hold_edge=True)
+    np.testing.assert_array_equal(read_case(given).tissue.labels, labels)
+    with pytest.raises(ProblemError, match=r"own\.nrrd: is not in the same place"):
+        read_case(replace(given, slice=2))
+
+
 def test_a_field_moves_a_sagittal_slice_of_a_volume(tmp_path):
     side = np.array(
         [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]

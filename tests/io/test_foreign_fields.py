@@ -133,11 +133,14 @@ def nifti(case, *, by_matrix, order="<"):
 
 
 @pytest.mark.parametrize(
-    ("suffix", "by_matrix", "order"),
-    [(".nii", True, "<"), (".nii", False, ">"), (".nii.gz", False, "<")],
+    ("suffix", "by_matrix", "order", "side"),
+    [(".nii", True, "<", 1), (".nii", False, ">", 1), (".nii.gz", False, "<", -1)],
 )
-def test_one_slice_in_nifti_retains_its_place_in_the_volume(suffix, by_matrix, order, tmp_path):
+def test_one_slice_in_nifti_retains_its_place_in_the_volume(
+    suffix, by_matrix, order, side, tmp_path
+):
     case, path = FieldCase("slice"), tmp_path / f"deformationField{suffix}"
+    case.direction *= side  # -1 for axes of a left-handed system
     content = nifti(case, by_matrix=by_matrix, order=order)
     path.write_bytes(gzip.compress(content) if suffix == ".nii.gz" else content)
     assert sitk.ReadImage(str(path)).GetDimension() == 2, "ITK's reader drops an axis"

@@ -123,14 +123,19 @@ def test_an_alignment_is_part_of_the_field_but_not_of_the_study():
     there = sitk.Resample(image, image, moved, sitk.sitkBSpline)
     transposed = np.array([[0.0, 1.0], [1.0, 0.0]])
     write("after.mha", sitk.GetArrayFromImage(there).T.copy(), direction=transposed)
-    assert register("before.mha", "after.mha", "--rigid") == 0
+    points = np.array([(28.0, 30.0), (36.0, 40.0)])  # row, col
+    back = moved.GetInverse()
+    targets = [back.TransformPoint(point[::-1].tolist()) for point in points]
+    write_points("marks.csv", points, targets)  # the rows of the second file are along x
+    assert register("before.mha", "after.mha", "--rigid", "--landmarks", "marks.csv") == 0
     field = sitk.ReadImage("out/before to after field.mha", sitk.sitkVectorFloat64)
     whole = sitk.DisplacementFieldTransform(field)
-    back = moved.GetInverse()
     for point in ((30.0, 25.0), (40.0, 36.0)):
         assert whole.TransformPoint(point) == pytest.approx(back.TransformPoint(point), abs=0.5)
-    solution = read_study("out/before.study").solution
+    study, solution = read_study("out/before.study")
     assert np.abs(solution.displacement[20:-20, 20:-20]).max() < 1
+    for mark in study.motion.drawing.marks:
+        np.testing.assert_allclose(mark.target, mark.source, atol=0.5)
     assert report()["alignment"] == "rigid"
 
 
