@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 from napari.components import ViewerModel
 
-from napari_hmrf.layers.image_choice import image_covering
-from napari_hmrf.tissue.drawing import Arrow, Drawing
+from napari_hmrf.layers.image_choice import image_covering, image_in_front
 from napari_hmrf.ui.motion.motion_messages import START
-from napari_hmrf.ui.soft_tissue import SoftTissue
 from tests.support.docks import quick
 
 GREY = (np.indices((20, 24)).sum(axis=0) % 5 * 50).astype(np.uint8)
@@ -21,42 +19,20 @@ def two_images(frame, small_sample):
     return frame.viewer, lower, frame.viewer.add_image(LARGER, name="astronaut", rgb=True)
 
 
-@pytest.fixture
-def new_dock(qtbot):
-    """Return a function that opens another dock beside a viewer without a window."""
-
-    def made(viewer):
-        found = SoftTissue(viewer)
-        qtbot.addWidget(found.native)
-        return found
-
-    return made
-
-
-def test_a_new_dock_selects_the_image_that_is_selected_or_the_topmost_visible_image(
-    new_dock, small_sample
-):
+def test_a_new_dock_selects_the_image_that_is_selected_or_the_topmost_visible_image(small_sample):
     viewer = ViewerModel()
     lower, *_ = small_sample(viewer)
     upper = viewer.add_image(LARGER, name="astronaut", rgb=True)
-    dock = new_dock(viewer)
-    assert dock.image is upper
-    assert (dock.tissue, dock.boundary) == (None, None), (
-        "the layers of the other image were selected"
-    )
+    images = [lower, upper]
+    assert image_in_front(viewer, images, []) is upper
     viewer.layers.selection = {lower}
-    assert dock.image is upper, "a selection in the viewer changed the image"
-    dock = new_dock(viewer)
-    assert dock.image is lower
-    assert (dock.tissue.name, dock.image.name) == ("Tissue", "MR")
+    assert image_in_front(viewer, images, []) is lower
     viewer.layers.selection = {viewer.layers["Boundary"]}
     upper.visible = False
-    dock = new_dock(viewer)
-    assert dock.image is lower
-    dock.drawing = Drawing((Arrow((10, 12), (10, 14), 4.0),))
+    assert image_in_front(viewer, images, []) is lower
     upper.visible = True
     viewer.layers.selection = {upper}
-    assert new_dock(viewer).image is lower, "the image with a drawing was deselected"
+    assert image_in_front(viewer, images, [lower]) is lower, "the edited image was not selected"
 
 
 def test_a_new_dock_selects_the_image_with_a_result(frame, small_sample, run, settle):
