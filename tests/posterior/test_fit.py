@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.fem import plane_stress_displacement
-from napari_hmrf import Cancelled, ElasticPrior, Problem, ProblemError, solve
+from napari_hmrf import Cancelled, ElasticPrior, Multigrid, Problem, ProblemError, solve
 from napari_hmrf.errors import ArgumentError
 from napari_hmrf.landmarks import Landmarks
 from napari_hmrf.loads import growth, weight
@@ -58,6 +58,14 @@ def test_ratios_of_stiffness_are_found_from_the_motion_of_another_program(found)
     np.testing.assert_allclose(
         found.solution.displacement, SEEN, atol=5 * SD, err_msg="the solution is not the fitted one"
     )
+
+
+def test_a_stiffness_is_as_certain_as_its_effect_on_the_motion_exceeds_the_noise(found):
+    stiffer = np.where(LABELS == 3, 1.1, 1) * found.problem.stiffness
+    moved = solve(stretched(stiffer), ElasticPrior(NU), optimizer=Multigrid(1e-4)).displacement
+    effect = (moved - found.solution.displacement) / SD / np.log(1.1)
+    precision = max(1, found.misfit) * np.linalg.inv(found.covariance)[1, 1]
+    assert precision == pytest.approx((effect**2).sum(), rel=0.2)
 
 
 def test_a_homogeneous_sample_shows_no_inclusion():

@@ -16,6 +16,7 @@ from napari_hmrf import (
 )
 from napari_hmrf.landmarks import Landmarks, StrainScale
 from napari_hmrf.loads import Loads
+from napari_hmrf.solver.data_term import combined_data
 from tests.support.data_oracle import posterior_mean
 
 GRIDS = [
@@ -359,6 +360,19 @@ def test_problems_with_equal_tensors_share_them_unless_tissue_differs():
         .precision[3, 3]
         .any()
     )
+
+
+def test_further_data_add_to_other_data_but_not_to_what_is_held():
+    y, z = np.zeros((1, 4, 2)), np.ones((1, 4, 2))
+    first, second = (np.zeros((1, 4, 2, 2)) for _ in range(2))
+    known = np.zeros((1, 4, 2), bool)
+    first[0, 0], first[0, 1], second[:] = np.eye(2), np.eye(2), 3 * np.eye(2)
+    known[0, 1, 0] = known[0, 2] = True
+    for own in (first, None):
+        observed, precision = combined_data((y, own), (z, second), known)
+        np.testing.assert_array_equal(observed[0, :, 0], (1 if own is None else 0.75, 0, 0, 1))
+        expected = (3, 0, 0, 3) if own is None else (4, 1, 0, 3)
+        np.testing.assert_array_equal(precision[0, :, 0, 0], expected)
 
 
 @pytest.mark.parametrize("prior", [SeilerPrior(), NeoHookeanPrior()])

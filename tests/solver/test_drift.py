@@ -116,6 +116,8 @@ def test_a_bone_keeps_its_shape_in_a_drift():
     assert max(np.abs(each).max() for each in stretch) < 1e-5
     assert np.abs(solution.strain()[8:14, 8:14]).max() == 0
     assert drift_of(solution)[0, 0] > 0.04
+    assert not solution.loads.growth[8:14, 8:14].any()
+    assert solution.loads.growth[0, 0] == pytest.approx(drift_of(solution))
 
 
 @pytest.mark.parametrize("held", [False, True])

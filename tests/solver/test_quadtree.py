@@ -27,12 +27,15 @@ def test_the_root_is_one_site_and_each_level_halves(shape):
 
 
 @pytest.mark.parametrize("shape", [(300, 300), (7, 12), (1, 9)])
-def test_each_site_samples_a_pixel_that_it_covers(shape):
+def test_each_site_samples_the_pixel_nearest_to_its_centre(shape):
     for level in levels(shape):
         for size, pixels in zip(shape, nearest_pixels(level, shape), strict=True):
-            sites = np.arange(len(pixels))
-            assert (pixels >= sites * 2**level.number).all()
-            assert (pixels < np.minimum((sites + 1) * 2**level.number, size)).all()
+            width = 2**level.number
+            centre = np.arange(len(pixels)) * width + (width - 1) / 2
+            past = centre > size - 1  # only some of the pixels of the last site exist
+            assert (pixels[past] == size - 1).all()
+            # The pixel with the larger index, of two that are equally near.
+            assert np.isin((pixels - centre)[~past], (0, 0.5)).all()
 
 
 def test_the_finest_level_is_the_image():

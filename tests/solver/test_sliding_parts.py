@@ -7,7 +7,7 @@ import pytest
 
 from napari_hmrf import ElasticPrior, NeoHookeanPrior, Problem, ProblemError, SeilerPrior, solve
 from napari_hmrf.landmarks import Landmarks
-from napari_hmrf.loads import Loads
+from napari_hmrf.loads import Loads, weight
 from napari_hmrf.solver.coupling import Coupling
 from napari_hmrf.solver.unfolded import unfolded
 from napari_hmrf.tissue import SlidingParts
@@ -112,6 +112,21 @@ def test_pressure_passes_through_an_interface_of_any_direction(degrees):
     )
     error = solve(problem, ElasticPrior(0.0), backend="cpu").displacement - y
     assert abs(error).max() <= 0.06
+
+
+def test_weight_along_an_interface_stretches_both_parts_as_it_stretches_one_body():
+    upper, m = np.indices((8, 12))[0] < 4, np.ones((8, 12))
+    held = both(np.indices(m.shape)[1] == 0)
+    rest, loads = 0 * held, weight(m, (0, 0.01), spacing=1)
+    fields = [
+        solve(
+            Problem(observed=rest, confidence=held, stiffness=m, loads=loads, sliding=parts),
+            ElasticPrior(0.0),
+            backend="cpu",
+        ).displacement
+        for parts in (SlidingParts(upper.astype(int)), None)
+    ]
+    assert fields[0] == pytest.approx(fields[1], abs=0.05 * float(fields[1].max()))
 
 
 @pytest.mark.parametrize(

@@ -80,7 +80,8 @@ def test_methods_equal_the_functions_with_spacing_and_tissue(solution, tmp_path)
     assert solution.measure(labels, names={1: "bright"}) == measure(
         solution, labels, names={1: "bright"}
     )
-    assert np.allclose(solution.at(points)[1], d[10, 12])
+    for extend in (False, True):
+        assert np.allclose(solution.at(points, extend=extend)[1], d[10, 12])
     assert np.allclose(solution.move(points), points + solution.at(points) / SIZE)
     other = np.abs(warp(photo, d, spacing=1, tissue=solution.tissue) - solution.warp(photo))
     assert other.max() > 0.1, "the test should detect a wrong spacing"

@@ -199,6 +199,7 @@ def test_an_unreachable_prescribed_motion_is_followed_as_far_as_possible() -> No
     assert 0 < reach.sites <= inside.sum()
     assert reach.missing == pytest.approx(30 - found.displacement[reach.where][1], abs=0.02)
     assert 0.2 < reach.part < 0.9
+    assert reach.part == pytest.approx(1 - reach.missing / 30)
 
 
 def test_a_drag_starts_from_the_last_fields() -> None:

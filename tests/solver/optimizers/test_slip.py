@@ -6,6 +6,7 @@ import pytest
 from napari_hmrf import ElasticPrior, Multigrid, Problem, ProblemError, SeilerPrior, solve
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.cpu.elastic_model import CpuElasticModel
+from napari_hmrf.solver.optimizers.slip_states import ActiveSet
 from napari_hmrf.solver.rigid_modes import free_motions
 
 PENALTY = 1e-9
@@ -58,6 +59,19 @@ def test_a_free_rigid_motion_has_no_energy_for_any_pixel_shape(spacing):
     assert abs(energy) < 1e-17, "the energy exceeds rounding errors"
 
 
+@pytest.mark.parametrize("singly", [False, True])
+def test_an_observation_that_cannot_hold_tissue_pulls_against_it_with_all_its_force(singly):
+    y, limit = np.full((2, 1, 3), 0.5), np.full((2, 1, 3), 2.0)
+    states = ActiveSet(limit > 0, y, limit, y)
+    pull = np.zeros_like(y)
+    pull[1, 0] = (-3, 1, 0) if singly else (-3, 1, 5)  # 1 is below the limit
+    assert states.held.all()
+    assert states.correct(y, pull, 1e-6, 1e-6, singly)
+    np.testing.assert_array_equal(states.load[1, 0], (2, 0, 0 if singly else -2))
+    assert not states.load[0].any()
+    assert not states.correct(y - states.load, pull, 1e-6, 1e-6, singly)
+
+
 @pytest.mark.parametrize(("shape", "penalty"), [((2, 2), 0.1), ((1, 2), None)])
 def test_sites_outside_all_cliques_match_their_observation(shape, penalty):
     y = np.random.default_rng(1).normal(size=(*shape, 2)) / 4
@@ -69,21 +83,21 @@ def test_sites_outside_all_cliques_match_their_observation(shape, penalty):
 
 
 def test_a_stiff_part_on_soft_tissue_moves_in_proportion_to_the_slip_force():
-    # One slipping observation pulls the stiff half of a bar.
+    # One slipping observation pulls the stiff half of a bar, by its penalty times its confidence.
     m = np.ones((3, 12))
     m[:, 6:] = 1e5
     y, c = np.zeros((3, 12, 2)), np.zeros((3, 12, 2))
     c[:, 0] = 1
-    c[1, -1, 1] = 1
     y[1, -1, 1] = 2
     ends = []
-    for penalty in (1e-8, 2e-8):
+    for penalty, confidence in ((1e-8, 1.0), (4e-8, 0.5)):
+        c[1, -1, 1] = confidence
         found = solve(
             Problem(observed=y, confidence=c, stiffness=m),
             ElasticPrior(penalty=penalty),
             optimizer=Multigrid(1e-5),
         )
-        ends.append(found.displacement[1, -1, 1] / penalty)
+        ends.append(found.displacement[1, -1, 1] / (penalty * confidence))
     # The displacement is proportional to the force at which the observation slips.
     assert ends[1] == pytest.approx(ends[0], rel=1e-2)
 
