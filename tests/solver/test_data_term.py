@@ -117,6 +117,28 @@ def test_a_motion_that_meets_all_data_without_strain_has_no_energy():
     assert solution.energy[-1] == pytest.approx(0, abs=1e-6)
 
 
+@pytest.mark.parametrize("axes", [2, 3])
+def test_the_energy_of_a_solution_is_that_of_its_strain_and_its_data(axes):
+    rng, grid = np.random.default_rng(axes), (7, 6, 5)[:axes]
+    y, data = rng.normal(size=(*grid, axes)), tensors(rng, grid, axes, 3.0)
+    problem, prior = (
+        Problem(
+            observed=y,
+            confidence=0 * y,
+            stiffness=np.ones(grid),
+            spacing=(1, 2, 1.5)[:axes],
+            precision=data,
+        ),
+        ElasticPrior(0.3),
+    )
+    solution = solve(problem, prior, backend="cpu")
+    missing = solution.displacement - problem.observed
+    of_data = np.einsum("...i,...ij,...j", missing, problem.precision, missing).sum() / 2
+    energy = of_data / (prior.force_unit(problem) * problem.unit)
+    energy += prior.energy(problem, solution.displacement)
+    assert solution.mean_energy * np.prod(grid) == pytest.approx(energy, rel=1e-4)
+
+
 def test_strong_data_are_the_limit_of_a_prescribed_motion():
     y, c = np.zeros((30, 30, 2)), np.zeros((30, 30, 2))
     c[0] = 1
