@@ -81,11 +81,11 @@ def jobs() -> list[Job]:
         solving("blanket-converged", blanket, Multigrid(), square),
         solving("exact-steps", SeilerPrior(), ICM(iterations=2, steps=None), square),
         Job("volume", lambda: _volume(ElasticPrior(0.3), Multigrid())),
-        Job(sets.LARGE_VOLUMES, lambda: _volume(NeoHookeanPrior(0.3), Multigrid())),
         Job("volume-schedule", lambda: _volume(SeilerPrior(), schedule)),
         Job("volume-converged", lambda: _volume(SeilerPrior(), Multigrid())),
         Job(sets.DATA, lambda: _data((_SIZE, _SIZE))),
         Job(sets.VOLUME_DATA, lambda: _data((_SLICES, _SLICES, _SLICES))),
+        Job(sets.LARGE_VOLUMES, lambda: _volume(NeoHookeanPrior(0.3), Multigrid())),
     ]
 
 

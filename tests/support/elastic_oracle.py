@@ -35,5 +35,11 @@ def direct_solution(problem, prior) -> np.ndarray:
     field = np.where(problem.confidence > 0, problem.observed, 0).astype(float).ravel()
     free = (problem.confidence.ravel() == 0) & (matrix.diagonal() > 0)
     right = -(matrix[free][:, ~free] @ field[~free])
-    field[free] = spl.spsolve(matrix[free][:, free].tocsc(), right)
+    factors = spl.splu(
+        matrix[free][:, free].tocsc(),
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )
+    field[free] = factors.solve(right)
     return field.reshape(*problem.shape, 2)

@@ -49,11 +49,12 @@ _VOLUME_MARGIN = 1.5
 _MILD_LEAST = 0.1
 # Smallest eigenvalue that cycles find in images of nearly incompressible tissue with low contrast.
 _MILD_LEAST_INCOMPRESSIBLE = 0.05
-# Eigenvalue of a motion of parts beside a gap of void, such as a flap, that cycles may miss in mild
-# tissue. Its energy is so small that they find it only after all other motions have converged.
-_UNSEEN = 0.05
-# Safety factor on the error estimate of mild tissue with a gap of void.
-_GAP_MARGIN = 3.0
+# Eigenvalue of a motion of parts beside a gap of void, such as a flap, that cycles may miss. Its
+# energy is so small that they find it only after all other motions have converged.
+_UNSEEN = 0.005
+# Safety factor on the error estimate of mild tissue with a gap of void. It is smaller than usual,
+# because the iteration continues until an eigenvalue of `_UNSEEN` would not matter.
+_GAP_MARGIN = 1.15
 # Smallest safety factor of any error estimate, because an estimate is for a single component and
 # depends on the eigenvalues found so far.
 _LEAST_MARGIN = 1.5
@@ -238,9 +239,9 @@ class Refinement:
         # Cycles find every motion of a single body, but may miss relative motions of close bodies.
         sees_bodies = model.bodies is None or (moves is not None and not moves.close)
         sure = self._mild and not volume and model.material.compressible and sees_bodies
-        is_gapped = self._mild and not volume and _is_gapped(model)
+        is_gapped = not volume and _is_gapped(model)
         self._iteration.unseen = _UNSEEN if is_gapped else 1.0
-        doubt = _GAP_MARGIN if is_gapped else _LEAST_MARGIN
+        doubt = _GAP_MARGIN if is_gapped and self._mild else _LEAST_MARGIN
         if not sure:
             doubt = max(_MARGIN * earlier.underestimate, _MARGIN if volume else doubt)
         if volume and not self._mild:
