@@ -137,7 +137,8 @@ def write_page(path: Path, sections: Sequence[Section], settings: Settings, begu
     if settings.note:
         lines.append(f"**{settings.note}**")
     lines += [
-        f"Targets: {met} of {len(targets)} met.",
+        f"{met} of {len(targets)} targets were met. The section that measures a missed target "
+        "explains it.",
         "```text\n" + "\n".join(str(target) for target in targets) + "\n```",
         *(str(section) for section in sections),
     ]
