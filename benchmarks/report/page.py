@@ -137,8 +137,10 @@ def write_page(path: Path, sections: Sequence[Section], settings: Settings, begu
     if settings.note:
         lines.append(f"**{settings.note}**")
     lines += [
-        f"{met} of {len(targets)} targets were met. The section that measures a missed target "
-        "explains it.",
+        (
+            f"{met} of {len(targets)} targets were met. The section that measures a missed target "
+            "explains it."
+        ),
         "```text\n" + "\n".join(str(target) for target in targets) + "\n```",
         *(str(section) for section in sections),
     ]

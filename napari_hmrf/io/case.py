@@ -328,6 +328,9 @@ def _on_pixels(case: Case, path: Path, whole: ImageFile, image: ImageFile) -> np
     if image.ndim == 3 and image.place is None and case.slice is None:
         image = image._replace(place=whole.place)
     image, at = _part(image, replace(case, image=path))
+    image = image._replace(place=at)
+    if image.ndim == 3:
+        image = image.laid_as(place)
     pixels, shape = image.pixels, reference.pixels.shape[: reference.ndim]
     refuse_colours(image, path)
     if pixels.shape != shape:
@@ -336,7 +339,7 @@ def _on_pixels(case: Case, path: Path, whole: ImageFile, image: ImageFile) -> np
             f"is {grid_in_words(pixels.shape)}, but the image is {grid_in_words(shape)}. Give a "
             "file of the same size.",
         )
-    image._replace(place=at).refuse_elsewhere(place, path.name, "the image")
+    image.refuse_elsewhere(place, path.name, "the image")
     return pixels
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import io
 import os
 from contextlib import suppress
-from itertools import permutations
+from itertools import combinations, permutations
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -129,14 +129,30 @@ class ImageFile(NamedTuple):
         )
 
     def laid_as(self, place: Place | None) -> ImageFile:
-        """Return the image with its axes reordered to match another place.
+        """Return the image with its axes reordered and reversed to match another place.
 
-        The image itself is returned if no order of its axes matches.
+        The image itself is returned if no order and no directions of its axes match.
         """
         if self.place is None or len(self.place.spacing) != 3 or apart(self.place, place) <= SAME:
             return self
-        reordered = map(self.reordered, permutations(range(3)))
-        return next((each for each in reordered if apart(each.place, place) <= SAME), self)
+        axes = range(3)
+        turned = (
+            self.reordered(order).reversed_along(reverse)
+            for order in permutations(axes)
+            for count in range(4)
+            for reverse in combinations(axes, count)
+        )
+        return next((each for each in turned if apart(each.place, place) <= SAME), self)
+
+    def reversed_along(self, axes: tuple[int, ...]) -> ImageFile:
+        """Return a view of a volume with some axes reversed; the volume must have a place."""
+        place, pixels = self.place, np.flip(self.pixels, axes)
+        assert place is not None
+        signs = np.array([-1.0 if axis in axes else 1.0 for axis in range(3)])
+        last = [size - 1.0 if axis in axes else 0.0 for axis, size in enumerate(pixels.shape[:3])]
+        first = place.to_space(np.array([last]))[0]
+        turned = Place(place.spacing, tuple(first[::-1].tolist()), place.direction * signs[::-1])
+        return self._replace(pixels=pixels, place=turned)
 
     def refuse_elsewhere(self, place: Place | None, name: str, what: str) -> None:
         """Raise an error if the image is not in the same place as another image of equal size.

@@ -282,8 +282,10 @@ def _rule(row: dict[str, Any], where: str) -> BoundaryRule:
     if missing:
         if missing == needed:
             raise FileFormatError(
-                f"{where}: the action of label {label} is {action}, but its amount is missing. "
-                f"Give {' and '.join(needed)}."
+                f"{where}: the action of label {label} is {action}, but its "
+                f"{' and '.join(needed)} {'is' if len(needed) == 1 else 'are'} missing. "
+                f"Give {', '.join(title for title in used if title != 'confidence')}"
+                f"{'; plane is for volumes' if 'plane' in used else ''}."
             )
         raise FileFormatError(
             f"{where}: {action} has no value in {missing[0]!r}. Give 0 if it has no component "

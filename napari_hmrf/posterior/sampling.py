@@ -166,9 +166,13 @@ def energy_of(problem: Problem, scale: StrainScale | None) -> float:
 
     Raises
     ------
+    ArgumentError
+        If the scale is neither a `StrainScale` nor None.
     ProblemError
         If the scale of the precision is unknown, or the landmarks have another scale.
     """
+    right = scale is None or isinstance(scale, StrainScale)
+    refuse_unless(right, "scale", scale, "a StrainScale, such as StrainScale(0.1), or None")
     marks, of_marks = problem.landmarks, None
     if marks is not None:
         of_marks = marks.scale.energy(problem.stiffness, problem.spacing)

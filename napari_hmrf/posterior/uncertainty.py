@@ -245,8 +245,10 @@ def uncertainty(
 
     Parameters
     ----------
-    problem, prior, scale, seed, backend, progress, cancel
+    problem, scale, seed, backend, progress, cancel
         As for `sample_posterior`.
+    prior : ElasticPrior, optional
+        Prior of the tissue; its posterior must be a normal distribution.
     n : int
         Number of samples, 2 or more. With 30 samples, a standard deviation is accurate to 13 %. 0
         computes only the means over labels: `sd` and `along` are then NaN in tissue.

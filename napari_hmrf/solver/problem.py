@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.arguments import reals, shown
+from napari_hmrf.arguments import reals, refuse_unless, shown
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.coupling import Coupling
 from napari_hmrf.solver.loads import Loads
@@ -264,6 +264,33 @@ class Problem:
     def unit(self) -> float:
         """Length of one pixel in the solver: the geometric mean of `spacing`."""
         return math.prod(self.spacing) ** (1.0 / len(self.spacing))
+
+
+def in_pixels(problem: Problem, displacement: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Return a displacement of the sites of a problem in pixels.
+
+    Parameters
+    ----------
+    problem : Problem
+    displacement : array_like, shape (H, W, 2) or (D, H, W, 3)
+        Displacement, in the unit of ``problem.spacing``.
+
+    Raises
+    ------
+    ArgumentError
+        If `problem` is not a `Problem`.
+    ProblemError
+        If the displacement has another shape, or is not numeric.
+    """
+    refuse_unless(isinstance(problem, Problem), "problem", problem, "a Problem")
+    d = as_numbers("displacement", displacement)
+    if d.shape != problem.observed.shape:
+        raise ProblemError(
+            "displacement",
+            f"has shape {d.shape}, but the problem needs {problem.observed.shape}: a displacement "
+            "along each axis for each site.",
+        )
+    return d.astype(np.float64) / problem.unit
 
 
 def variant_of(problem: Problem, **changes: object) -> Problem:

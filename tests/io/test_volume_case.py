@@ -207,3 +207,11 @@ def test_an_image_at_another_place_or_of_another_size_is_refused_by_name(files, 
     write_image(files / "small.mha", ImageFile(head.tissue_labels[1:], place))
     with pytest.raises(ProblemError, match=r"small\.mha: is 29 x 38 x 30, but the image is 30 x"):
         read_case(Case(files / "t1.nii.gz", labels=files / "small.mha"))
+
+
+def test_labels_with_reversed_axes_are_laid_as_the_image(files, head):
+    place = read_image(files / "t1.nii.gz").place
+    labels = ImageFile(head.tissue_labels, place).reversed_along((1, 2))
+    write_image(files / "turned.nii.gz", labels)
+    case = Case(files / "t1.nii.gz", labels=files / "turned.nii.gz", hold_edge=True)
+    np.testing.assert_array_equal(read_case(case).tissue.labels, head.tissue_labels)

@@ -250,10 +250,11 @@ def test_an_image_with_another_order_of_axes_is_reordered_to_the_result(solution
         seen.pixels, moved(smooth_image(), solution).transpose(order), atol=1e-4
     )
     labels = ImageFile((smooth_image() > 100).astype(np.uint8), Place(SIZE, ORIGIN, turn))
-    write_image(tmp_path / "labels.mha", labels)
-    rows = measured(tmp_path / "result.npz", tmp_path / "labels.mha").rows
     there = solution.tissue & (smooth_image() > 100)
-    assert rows[1].pixels == there.sum()
+    for axes in ((), (1,), (0, 2)):  # RAS and LPS differ by two reversed axes
+        write_image(tmp_path / "labels.mha", labels.reversed_along(axes))
+        rows = measured(tmp_path / "result.npz", tmp_path / "labels.mha").rows
+        assert rows[1].pixels == there.sum()
 
 
 def test_measurements_of_a_volume_are_named_for_voxels_and_volumes(solution, tmp_path):

@@ -36,7 +36,7 @@ from napari_hmrf.solver.priors.elements import (
 )
 from napari_hmrf.solver.priors.growth import Load, growth_load, slabs
 from napari_hmrf.solver.priors.hexahedra import BrickShape, brick_shape
-from napari_hmrf.solver.problem import Problem, as_numbers, grid_in_words
+from napari_hmrf.solver.problem import Problem, as_numbers, grid_in_words, in_pixels
 from napari_hmrf.solver.rigid_modes import check_held
 from napari_hmrf.solver.sliding_parts import refuse_sliding
 
@@ -245,8 +245,8 @@ class ElasticPrior:
 
         U is the elastic energy minus the work of forces.
         """
+        d = in_pixels(problem, displacement)
         refuse_sliding(problem.sliding, "the energy of one displacement")
-        d = np.asarray(displacement, dtype=np.float64) / problem.unit
         stored, load = self._stored(problem, d), self.load(problem)
         return stored if load is None else stored + load.energy - float((load.forces * d).sum())
 
@@ -270,8 +270,8 @@ class ElasticPrior:
 
         The gradient consists of the internal forces of the tissue minus the forces of the loads.
         """
+        d = in_pixels(problem, displacement)
         refuse_sliding(problem.sliding, "the force of one displacement")
-        d = np.asarray(displacement, dtype=np.float64) / problem.unit
         shape, load, forces = self.shape(problem.spacing), self.load(problem), np.zeros(d.shape)
         for sites in slabs(problem.shape):
             forces[sites] += shape.forces(self.lame(problem, sites), d[sites])

@@ -20,7 +20,7 @@ from napari_hmrf.solver.priors.finite_bricks import FiniteBricks, brick_moduli
 from napari_hmrf.solver.priors.finite_strain import FiniteElements, FiniteMaterial, grown_sizes
 from napari_hmrf.solver.priors.growth import Load
 from napari_hmrf.solver.priors.hexahedra import BrickShape
-from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.problem import Problem, in_pixels
 from napari_hmrf.solver.real_arrays import first_index
 
 
@@ -126,14 +126,14 @@ class NeoHookeanPrior:
 
         U is the elastic energy minus the work of forces.
         """
-        d, load = _pixels(problem, displacement), self.load(problem)
+        d, load = in_pixels(problem, displacement), self.load(problem)
         stored = self._elements(problem).energy(d)
         return stored if load is None else stored - float((load.forces * d).sum())
 
     def forces(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
         """Return the gradient of the energy with respect to the displacement in pixels."""
-        load = self.load(problem)
-        forces = self._elements(problem).forces(_pixels(problem, displacement))
+        d, load = in_pixels(problem, displacement), self.load(problem)
+        forces = self._elements(problem).forces(d)
         return forces if load is None else forces - load.forces
 
     def tangents(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
@@ -141,9 +141,9 @@ class NeoHookeanPrior:
 
         For images only.
         """
-        elements = self._elements(problem)
+        d, elements = in_pixels(problem, displacement), self._elements(problem)
         assert isinstance(elements, FiniteElements)
-        return elements.tangents(_pixels(problem, displacement))
+        return elements.tangents(d)
 
     def corner_jacobians(self, problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
         """Return numbers that bound the Jacobian of each element; they are 1 in void.
@@ -156,7 +156,8 @@ class NeoHookeanPrior:
         ndarray, shape (4, H - 1, W - 1) or (27, D - 1, H - 1, W - 1)
             Jacobians at the four corners, or Bernstein coefficients in a volume.
         """
-        return self._elements(problem).corner_jacobians(_pixels(problem, displacement))
+        d = in_pixels(problem, displacement)
+        return self._elements(problem).corner_jacobians(d)
 
     def _elements(self, problem: Problem) -> FiniteElements | FiniteBricks:
         material, shape = self.material(problem), self.at_rest.shape(problem.spacing)
@@ -177,7 +178,3 @@ def _check_growth(problem: Problem) -> None:
             f"shrinks tissue to nothing in some direction, first at {first_index(wrong)}. Pass "
             "growth tensors with a strain above -1 in all directions.",
         )
-
-
-def _pixels(problem: Problem, displacement: npt.ArrayLike) -> Float64Array:
-    return np.asarray(displacement, dtype=np.float64) / problem.unit

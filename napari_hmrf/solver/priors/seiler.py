@@ -35,7 +35,7 @@ from napari_hmrf.solver.priors.cliques import (
     line_steps,
     line_weights,
 )
-from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.problem import Problem, in_pixels
 from napari_hmrf.solver.quadtree import levels, sampled
 
 Float64Array = npt.NDArray[np.float64]
@@ -115,6 +115,7 @@ class SeilerPrior:
 
     def penalty_for(self, problem: Problem) -> float:
         """Return K for a problem: the given penalty, or a value at which boundaries do not slip."""
+        refuse_unless(isinstance(problem, Problem), "problem", problem, "a Problem")
         if self.penalty is not None:
             return self.penalty
         weights = line_weights(problem.spacing)
@@ -183,10 +184,16 @@ class SeilerPrior:
         -------
         ndarray, shape (H, W) or (D, H, W)
             Energies in pixels squared; their sum over all sites is U_total.
+
+        Raises
+        ------
+        ArgumentError, ProblemError
+            If `problem` is not a `Problem`, has rigid tissue or loads, or if the displacement does
+            not fit it.
         """
-        d = np.asarray(displacement, dtype=np.float64) / problem.unit
+        d = in_pixels(problem, displacement)
         y = problem.observed / np.float64(problem.unit)
-        penalty = self.penalty_for(problem)
+        penalty = self.resolved(problem).penalty_for(problem)
         energy: Float64Array = (
             penalty * problem.confidence.astype(np.float64) * np.abs(y - d)
         ).sum(axis=-1)
@@ -208,7 +215,7 @@ class SeilerPrior:
             is not in any clique, and the minimizer q in the unit of ``problem.spacing``, which is
             the current displacement of the site if A = 0.
         """
-        d = np.asarray(displacement, dtype=np.float64) / problem.unit
+        d = in_pixels(problem, displacement)
         cliques_at_sites = self._cliques_of(problem, d)
         curvature, slope = (
             np.moveaxis(each[:, *_inside(problem)], 0, -1)

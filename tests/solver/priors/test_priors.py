@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from napari_hmrf import Problem, SeilerPrior
+from napari_hmrf import ElasticPrior, NeoHookeanPrior, Problem, SeilerPrior
+from napari_hmrf.errors import ArgumentError, ProblemError
 from napari_hmrf.solver.priors import line_steps, line_weights
 from tests.support.paper_oracle import cliques, local_energy, total_energy
 
@@ -182,6 +183,19 @@ def test_the_continuum_limit_does_not_depend_on_the_pixel_shape(spacing):
 def test_invalid_parameters_of_a_prior_are_rejected(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         SeilerPrior(**wrong)
+
+
+@pytest.mark.parametrize("prior", [SeilerPrior(), ElasticPrior(), NeoHookeanPrior()])
+def test_the_energy_of_a_field_on_another_grid_is_refused(prior):
+    rest, tissue = np.zeros((8, 9, 2)), np.ones((8, 9))
+    problem = Problem(observed=rest, confidence=rest + 1, stiffness=tissue)
+    energy = getattr(prior, "mean_energy", None) or prior.energy
+    for displacement in (0.0, np.zeros(2), np.zeros((2, 8, 9)), "rest"):
+        with pytest.raises(ProblemError) as refused:
+            energy(problem, displacement)
+        assert refused.value.field == "displacement"
+    with pytest.raises(ArgumentError, match="problem"):
+        energy(tissue, rest)
 
 
 @pytest.mark.parametrize("spacing", [(1.0, 1.0), (0.5, 2.0)])
