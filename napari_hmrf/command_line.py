@@ -389,8 +389,8 @@ def _add_solve(commands: Commands) -> None:
         type=Path,
         metavar="TABLE",
         help=".csv with the columns label,action,row,col,amount,confidence and one line for each "
-        "label of --boundary; the actions are fixed, move, expand, press and pull (press and pull "
-        "apply forces)",
+        "label of --boundary; the actions are fixed, move, expand, press, pull, slide and remove "
+        "(press and pull apply forces)",
     )
     solve.add_argument(
         "--forward",
