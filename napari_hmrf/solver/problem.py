@@ -290,7 +290,7 @@ def in_pixels(problem: Problem, displacement: npt.ArrayLike) -> npt.NDArray[np.f
             f"has shape {d.shape}, but the problem needs {problem.observed.shape}: a displacement "
             "along each axis for each site.",
         )
-    return d.astype(np.float64) / problem.unit
+    return np.asarray(d, np.float64) / problem.unit
 
 
 def variant_of(problem: Problem, **changes: object) -> Problem:
