@@ -42,7 +42,7 @@ from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.elasticity import Elasticity
 from napari_hmrf.solver.optimizers.base import Convergence
 from napari_hmrf.solver.priors import ElasticPrior
-from napari_hmrf.solver.problem import as_numbers, checked_spacing
+from napari_hmrf.solver.problem import as_numbers, checked_spacing, whole_numbers
 from napari_hmrf.solver.solution import Provenance, Solution
 from napari_hmrf.study.study import Grid, Study
 from napari_hmrf.tissue.boundary_rules import (
@@ -306,7 +306,7 @@ class RandomDeformation:
         backend: str = "auto",
         progress: Callable[[int, int], None] | None = None,
     ) -> None:
-        image, rows = as_numbers("labels", labels).copy(), tuple(materials)
+        image, rows = whole_numbers("labels", labels).copy(), tuple(materials)
         m = stiffness_image(image, rows)  # validates the labels and materials
         if sliding_parts(image, rows, m) is not None:
             raise ProblemError(

@@ -275,7 +275,7 @@ class Solution:
         of_field = green_lagrange_strain if kind == "total" else small_strain
         return of_field(self.displacement, **self.on_grid)
 
-    def stress(self, *, at: Literal["sites", "elements"] = "sites") -> npt.NDArray[np.float32]:
+    def stress(self, at: Literal["sites", "elements"] = "sites") -> npt.NDArray[np.float32]:
         """Return the Cauchy stress of elastic tissue, without growth.
 
         Parameters
@@ -303,7 +303,7 @@ class Solution:
 
         return stress_values(self, at=at)
 
-    def von_mises(self, *, at: Literal["sites", "elements"] = "sites") -> npt.NDArray[np.float32]:
+    def von_mises(self, at: Literal["sites", "elements"] = "sites") -> npt.NDArray[np.float32]:
         """Return the von Mises stress, as `von_mises_stress` of `stress`.
 
         Parameters
@@ -324,7 +324,7 @@ class Solution:
 
         return stress_values(self, von_mises_stress, at=at)
 
-    def pressure(self, *, at: Literal["sites", "elements"] = "sites") -> npt.NDArray[np.float32]:
+    def pressure(self, at: Literal["sites", "elements"] = "sites") -> npt.NDArray[np.float32]:
         """Return the pressure in the tissue, minus a third of the trace of `stress`.
 
         Parameters

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from napari_hmrf.arguments import is_one_of, is_whole, real, reals, refuse_unless, shown
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
-from napari_hmrf.solver.problem import FloatArray, as_numbers, checked_spacing
+from napari_hmrf.solver.problem import FloatArray, checked_spacing, whole_numbers
 from napari_hmrf.solver.sliding_parts import SlidingParts
 from napari_hmrf.tissue.normals import outward_normals
 
@@ -373,7 +373,7 @@ def _read(
     field: str, name: str, kind: type, labels: npt.ArrayLike, rows: Iterable[Any]
 ) -> tuple[npt.NDArray[Any], npt.NDArray[Any], dict[int, Any]]:
     """Return the label image, the labels that it contains, and the table rows by label."""
-    image = as_numbers(field, labels)
+    image = whole_numbers(field, labels)
     if image.dtype.kind not in "biu" or image.ndim not in (2, 3):
         raise ProblemError(
             field,
