@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf import HmrfError, NeoHookeanPrior, Problem, solve
+from napari_hmrf import HmrfError, NeoHookeanPrior, Problem, Solution, solve
 from napari_hmrf.fields import count_folds
 from napari_hmrf.loads import Loads, growth
 from napari_hmrf.solver.optimizers import Multigrid
@@ -25,6 +25,8 @@ Mask = npt.NDArray[np.bool_]
 
 # Largest distance of the tissue from a target that is reached, in pixels.
 _MET = 0.01
+# Rounding of distances in single precision, in pixels.
+_ROUNDED = 1e-5
 # Least Jacobian of a map from which targets are sampled.
 _LEAST = 0.2
 
@@ -75,6 +77,10 @@ def run(
         gap = _gap(case.problem, found.displacement).max()
         counts["beyond the tolerance"] += found.convergence.error > Multigrid().tolerance
         counts["met"] += case.known and gap <= _MET
+        if gap > _MET:
+            counts["continued"] += 1
+            faults += _faults_of_continuing(case, found, gap)
+            counts[_FARTHER] += _FARTHER in faults
         if faults or (case.known and gap > _MET):
             what = ", ".join(faults) or "not reached"
             print(
@@ -85,6 +91,7 @@ def run(
     took = time.perf_counter() - begun
     for name in _FAULTS:
         print(f"{counts[name]} of {count}: {name}")
+    print(f"{counts[_FARTHER]} of {counts['continued']}: {_FARTHER}")
     print(f"{counts['refused']} of {count}: refused, with the reasons above")
     print(f"{counts['beyond the tolerance']} of {count}: error beyond the tolerance, as reported")
     print(f"{counts['met']} of {counts['known']}: targets of a known map reached to {_MET} px")
@@ -98,6 +105,27 @@ _FAULTS = (
     "unreported error beyond the tolerance",
     "missed target that is not reported",
 )
+
+
+#: Fault of a solve that continues from a solution that misses its targets.
+_FARTHER = "continued, and refused or farther from the targets"
+
+
+def _faults_of_continuing(case: Case, found: Solution, gap: float) -> list[str]:
+    """Continue from a solution, and return the name of the fault, if there is one.
+
+    As in `reach`, growth that was completed counts before the distance from the targets.
+    """
+    try:
+        further = solve(case.problem, case.prior, backend="cpu", initial=found)
+    except HmrfError:
+        return [_FARTHER]
+    assert found.reach is not None
+    assert further.reach is not None
+    if further.reach.grown != found.reach.grown:
+        return [_FARTHER] if further.reach.grown < found.reach.grown else []
+    left = _gap(case.problem, further.displacement).max()
+    return [_FARTHER] if left > gap + _ROUNDED else []
 
 
 def _faults(case: Case, found: Any, least: float) -> list[str]:
