@@ -43,7 +43,7 @@ help:
 	@echo "make solving      time solves of volumes and images: AGAINST=folder compares with another checkout"
 	@echo "make report       write the validation report, docs/validation/README.md, anew: ten minutes"
 	@echo "make hard         write the table of hard tissue, docs/validation/hard.md, anew: an hour"
-	@echo "make mutations    break the package in more than a hundred places, one by one, and see a test fail for each"
+	@echo "make mutations    break the package in more than a hundred places, one by one, and see a test fail for each: NAMES=solver"
 	@echo "make screenshots  take the pictures of the README and of the tutorial again, from a real window"
 	@echo "make gallery      draw the pictures of the examples and of the notebooks again"
 	@echo "make sample-data  make the files of sample_data/ again"
@@ -152,7 +152,7 @@ hard: setup-for-report
 	@$(RUN) benchmarks/hard.py --page docs/validation/hard.md
 
 mutations: setup-for-windows
-	@$(HEADLESS) $(RUN) scripts/mutations.py
+	@$(HEADLESS) $(RUN) scripts/mutations.py $(NAMES)
 
 screenshots: setup-for-windows
 	@$(HEADLESS) $(RUN) scripts/screenshots.py
