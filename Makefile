@@ -14,7 +14,7 @@ SEED ?= 0
 # How many random problems `make cavities` solves.
 PROBLEMS ?= 2000
 
-.PHONY: help setup setup-for-windows setup-for-report setup-for-docs demo test campaigns docs format lint types routes structure benchmarks live dragging trust cavities uncertainty edits folds soak damaged disks volumes roofline solving hard report mutations screenshots gallery sample-data constraints clean
+.PHONY: help setup setup-for-windows setup-for-report setup-for-docs demo test campaigns docs format lint types routes structure benchmarks live dragging trust cavities uncertainty edits folds soak damaged disks volumes roofline solving hard report mutations screenshots sample-data constraints clean
 .DEFAULT_GOAL := help
 
 help:
@@ -44,8 +44,7 @@ help:
 	@echo "make report       write the validation report, docs/validation/README.md, anew: ten minutes"
 	@echo "make hard         write the table of hard tissue, docs/validation/hard.md, anew: an hour"
 	@echo "make mutations    break the package in more than a hundred places, one by one, and see a test fail for each: NAMES=solver"
-	@echo "make screenshots  take the pictures of the README and of the tutorial again, from a real window"
-	@echo "make gallery      draw the pictures of the examples and of the notebooks again"
+	@echo "make screenshots  draw the pictures of the documentation again: NAMES=tutorials"
 	@echo "make sample-data  make the files of sample_data/ again"
 	@echo "make constraints  take the newest versions of everything, and write down which"
 	@echo "make clean        delete what the commands above made, the environment included"
@@ -155,12 +154,7 @@ mutations: setup-for-windows
 	@$(HEADLESS) $(RUN) scripts/mutations.py $(NAMES)
 
 screenshots: setup-for-windows
-	@$(HEADLESS) $(RUN) scripts/screenshots.py
-	@$(HEADLESS) $(RUN) scripts/large_motion.py
-	@$(HEADLESS) $(RUN) scripts/tutorial.py
-
-gallery: setup
-	@$(RUN) scripts/gallery.py
+	@$(HEADLESS) $(RUN) scripts/screenshots.py $(NAMES)
 
 sample-data: setup
 	@$(RUN) scripts/make_sample_data.py
