@@ -14,7 +14,7 @@ SEED ?= 0
 # How many random problems `make cavities` solves.
 PROBLEMS ?= 2000
 
-.PHONY: help setup setup-for-windows setup-for-report setup-for-docs demo test campaigns docs format lint types routes structure benchmarks live dragging trust cavities uncertainty edits folds soak damaged disks volumes roofline solving hard report mutations screenshots sample-data constraints clean
+.PHONY: help setup setup-for-windows setup-for-report demo test campaigns docs format lint types routes structure benchmarks live dragging trust cavities uncertainty edits folds soak damaged disks volumes roofline solving hard report mutations screenshots sample-data constraints clean
 .DEFAULT_GOAL := help
 
 help:
@@ -58,9 +58,6 @@ setup-for-windows:
 setup-for-report:
 	@$(PYTHON) scripts/setup.py --for-report
 
-setup-for-docs:
-	@$(PYTHON) scripts/setup.py --for-docs
-
 demo: setup
 	@$(VENV)/bin/napari-hmrf demo
 
@@ -74,7 +71,7 @@ campaigns: setup-for-windows
 	@$(HEADLESS) $(RUN) scripts/campaigns.py --page docs/validation/campaigns.md
 
 # Warnings are errors, and all of them are shown. Nothing is fetched.
-docs: setup-for-docs
+docs: setup
 	@$(RUN) -m sphinx -W --keep-going -E -q docs docs/_build
 	@echo "The site is in docs/_build: open docs/_build/index.html"
 
