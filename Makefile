@@ -14,13 +14,14 @@ SEED ?= 0
 # How many random problems `make cavities` solves.
 PROBLEMS ?= 2000
 
-.PHONY: help setup setup-for-windows setup-for-report demo test campaigns docs format lint types routes structure benchmarks live dragging trust cavities uncertainty edits folds soak damaged disks volumes roofline solving hard report mutations screenshots sample-data constraints clean
+.PHONY: help setup setup-for-windows setup-for-report demo test campaigns wheel docs format lint types routes structure benchmarks live dragging trust cavities uncertainty edits folds soak damaged disks volumes roofline solving hard report mutations screenshots sample-data constraints clean
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make demo         deform the sample brain; pictures in demo-output/, napari where there is a display"
 	@echo "make test         run the tests"
-	@echo "make campaigns    run the long tests: further cases, the examples, the notebooks, the wheel"
+	@echo "make campaigns    run the long tests: further cases, the examples, the notebooks"
+	@echo "make wheel        build the wheel, and try it with the oldest and the newest napari that it allows"
 	@echo "make docs         build the site of the documentation: docs/_build/index.html"
 	@echo "make format       format the code"
 	@echo "make lint         look for mistakes in style, imports and dependencies"
@@ -69,6 +70,9 @@ test: setup-for-windows
 
 campaigns: setup-for-windows
 	@$(HEADLESS) $(RUN) scripts/campaigns.py --page docs/validation/campaigns.md
+
+wheel: setup-for-windows
+	@$(HEADLESS) $(RUN) scripts/wheel.py
 
 # Warnings are errors, and all of them are shown. Nothing is fetched.
 docs: setup
