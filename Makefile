@@ -14,41 +14,26 @@ SEED ?= 0
 # How many random problems `make cavities` solves.
 PROBLEMS ?= 2000
 
-.PHONY: help setup setup-for-windows setup-for-report setup-for-docs demo test campaigns docs format lint types routes structure benchmarks live dragging trust cavities uncertainty edits folds soak damaged disks volumes roofline solving hard report mutations screenshots gallery sample-data constraints clean
 .DEFAULT_GOAL := help
+# A target is a command, also where a folder has its name.
+.PHONY: help $(MAKECMDGOALS)
 
 help:
 	@echo "make demo         deform the sample brain; pictures in demo-output/, napari where there is a display"
 	@echo "make test         run the tests"
-	@echo "make campaigns    run the long tests: further cases, the examples, the notebooks, the wheel"
-	@echo "make docs         build the site of the documentation: docs/_build/index.html"
 	@echo "make format       format the code"
 	@echo "make lint         look for mistakes in style, imports and dependencies"
 	@echo "make types        check the types"
-	@echo "make benchmarks   print the tables of the paper, measured here"
-	@echo "make live         measure how fast tissue follows the mouse, without and with a window"
-	@echo "make routes       print the modules that Deform and a drag pass through"
-	@echo "make structure    write the diagram of the subpackages to docs/development/architecture.md"
-	@echo "make dragging     time from the mouse to the picture: AGAINST=folder compares with another checkout"
-	@echo "make trust        compare thousands of random problems with exact solutions: LOOPS=200 SHADERS=20 is shorter"
-	@echo "make cavities     compare random small problems with cavities and sliding parts with dense solutions: PROBLEMS=200 is shorter"
-	@echo "make uncertainty  compare error bars with dense posteriors, count how often they contain the truth, and time them"
-	@echo "make edits        compare thousands of live edits with cold solves"
-	@echo "make folds        solve thousands of random large motions of images and volumes, and check for folds"
-	@echo "make soak         solve thousands of small volumes, and print how memory grows"
-	@echo "make damaged      read thousands of damaged files of each exchange format"
-	@echo "make disks        write each kind of file to a full disk (as root, on Linux)"
-	@echo "make volumes      time volumes beside PyAMG, and compare hundreds of random ones with direct solutions"
-	@echo "make roofline     count operations and bytes of each loop, and time it beside the limits of the processor"
-	@echo "make solving      time solves of volumes and images: AGAINST=folder compares with another checkout"
+	@echo "make docs         build the site of the documentation: docs/_build/index.html"
+	@echo "make campaigns    run the long tests: further cases, examples, notebooks, code in the documentation"
+	@echo "make wheel        build the wheel, and try it with the oldest and the newest napari that it allows"
+	@echo "make mutations    break the package in many places, one by one, and see a test fail: NAMES=solver"
 	@echo "make report       write the validation report, docs/validation/README.md, anew: ten minutes"
-	@echo "make hard         write the table of hard tissue, docs/validation/hard.md, anew: an hour"
-	@echo "make mutations    break the package in more than a hundred places, one by one, and see a test fail for each"
-	@echo "make screenshots  take the pictures of the README and of the tutorial again, from a real window"
-	@echo "make gallery      draw the pictures of the examples and of the notebooks again"
+	@echo "make screenshots  draw the pictures of the documentation again: NAMES=tutorials"
 	@echo "make sample-data  make the files of sample_data/ again"
 	@echo "make constraints  take the newest versions of everything, and write down which"
 	@echo "make clean        delete what the commands above made, the environment included"
+	@echo "docs/development/measure.md lists the other commands, which measure speed and accuracy."
 
 setup:
 	@$(PYTHON) scripts/setup.py
@@ -58,9 +43,6 @@ setup-for-windows:
 
 setup-for-report:
 	@$(PYTHON) scripts/setup.py --for-report
-
-setup-for-docs:
-	@$(PYTHON) scripts/setup.py --for-docs
 
 demo: setup
 	@$(VENV)/bin/napari-hmrf demo
@@ -72,10 +54,13 @@ test: setup-for-windows
 	@PYTHONDONTWRITEBYTECODE= PYTEST_DISABLE_PLUGIN_AUTOLOAD=1 $(HEADLESS) $(RUN) -m pytest $(PLUGINS) -n 2 --dist worksteal
 
 campaigns: setup-for-windows
-	@$(HEADLESS) $(RUN) scripts/campaigns.py --page docs/validation/campaigns.md
+	@CI= $(HEADLESS) $(RUN) -m pytest -m campaign
+
+wheel: setup-for-windows
+	@$(HEADLESS) $(RUN) scripts/wheel.py
 
 # Warnings are errors, and all of them are shown. Nothing is fetched.
-docs: setup-for-docs
+docs: setup
 	@$(RUN) -m sphinx -W --keep-going -E -q docs docs/_build
 	@echo "The site is in docs/_build: open docs/_build/index.html"
 
@@ -89,7 +74,6 @@ lint: setup
 	@$(RUN) -m ruff check .
 	@$(VENV)/bin/lint-imports --no-logo --no-cache
 	@$(RUN) -m deptry napari_hmrf
-	@$(RUN) scripts/structure.py --check
 	@! git grep -nE '/[h]ome/\w|/[U]sers/\w|/[r]oot\b|[A-Z]:\\[U]sers|/[w]ork/\w|/[t]mp/\w'
 
 types: setup
@@ -101,12 +85,6 @@ benchmarks: setup
 live: setup-for-windows
 	@$(RUN) benchmarks/live.py
 	@$(HEADLESS) $(RUN) benchmarks/live.py --napari
-
-routes: setup-for-windows
-	@$(HEADLESS) $(RUN) scripts/routes.py
-
-structure:
-	@$(PYTHON) scripts/structure.py --write
 
 dragging: setup-for-windows
 	@$(HEADLESS) $(RUN) benchmarks/dragging.py $(if $(AGAINST),--against $(AGAINST))
@@ -152,15 +130,10 @@ hard: setup-for-report
 	@$(RUN) benchmarks/hard.py --page docs/validation/hard.md
 
 mutations: setup-for-windows
-	@$(HEADLESS) $(RUN) scripts/mutations.py
+	@$(HEADLESS) $(RUN) scripts/mutations.py $(NAMES)
 
 screenshots: setup-for-windows
-	@$(HEADLESS) $(RUN) scripts/screenshots.py
-	@$(HEADLESS) $(RUN) scripts/large_motion.py
-	@$(HEADLESS) $(RUN) scripts/tutorial.py
-
-gallery: setup
-	@$(RUN) scripts/gallery.py
+	@$(HEADLESS) $(RUN) scripts/screenshots.py $(NAMES)
 
 sample-data: setup
 	@$(RUN) scripts/make_sample_data.py

@@ -1,19 +1,13 @@
-"""Pictures of the examples and of the notebooks: ``make gallery``.
-
-``python scripts/gallery.py stiff_disc landmarks`` draws only the named pictures. Each example runs
-in a temporary folder, and its picture is drawn from its variables.
-"""
+"""Pictures of the examples and of the notebooks, drawn from their variables."""
 
 from __future__ import annotations
 
 import contextlib
 import io
 import json
-import os
 import runpy
-import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -27,14 +21,16 @@ from napari_hmrf import Solution, read_study
 from napari_hmrf.data import head_phantom
 from napari_hmrf.fields import deformation_grid, magnitude
 
+mpl.use("Agg")
+
 ROOT = Path(__file__).resolve().parent.parent
-EXAMPLES, NOTEBOOKS = ROOT / "examples", ROOT / "docs" / "notebooks"
-#: Folder of the examples' pictures. The notebooks' pictures are in a folder next to the notebooks.
-FOLDER = ROOT / "docs" / "examples" / "images"
+DOCS = ROOT / "docs"
 #: Resolution in dots per inch, at which a picture of three panels is about 640 pixels wide.
 RESOLUTION = 72
 #: Number of colours of a saved picture, which reduces the file to a third of its full-colour size.
 COLOURS = 256
+#: Names of the notebooks.
+NOTEBOOKS = sorted(path.stem for path in DOCS.glob("notebooks/*.ipynb"))
 
 #: Variables of an example.
 Names = dict[str, Any]
@@ -249,7 +245,7 @@ def volume(names: Names) -> Figure:
 
 
 #: Function that draws the picture of each example.
-PICTURES: dict[str, Callable[[Names], Figure]] = {
+EXAMPLES: dict[str, Callable[[Names], Figure]] = {
     draw.__name__: draw
     for draw in (
         growing_sphere,
@@ -281,26 +277,28 @@ def write_scan() -> None:
     sitk.WriteImage(scan, "scan.nii.gz")
 
 
-def draw_example(name: str) -> Figure:
+def draw_example(name: str) -> None:
     """Run an example in a temporary folder, and draw its picture."""
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
         if name == "growing_sphere":
             write_scan()
         with contextlib.redirect_stdout(io.StringIO()):
-            names = runpy.run_path(str(EXAMPLES / f"{name}.py"), run_name="__main__")
-        return PICTURES[name](names)
+            names = runpy.run_path(str(ROOT / "examples" / f"{name}.py"), run_name="__main__")
+        figure = EXAMPLES[name](names)
+    save(figure, DOCS / "examples" / "images" / f"{name}.png")
 
 
-def draw_notebook(path: Path) -> Figure:
-    """Run the cells of a notebook, and return its last figure."""
+def draw_notebook(name: str) -> None:
+    """Run the cells of a notebook, and draw its last figure."""
     import matplotlib.pyplot as plt
 
+    path = DOCS / "notebooks" / f"{name}.ipynb"
     names: Names = {}
     with contextlib.redirect_stdout(io.StringIO()):
         for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]:
             if cell["cell_type"] == "code":
                 exec(compile("".join(cell["source"]), path.name, "exec"), names)
-    return plt.gcf()
+    save(plt.gcf(), path.parent / "images" / f"{name}.png")
 
 
 def save(figure: Figure, path: Path) -> None:
@@ -310,20 +308,4 @@ def save(figure: Figure, path: Path) -> None:
     figure.savefig(drawn, dpi=RESOLUTION)
     image = Image.open(drawn).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
     image.save(path, optimize=True)
-    print(f"{path.relative_to(ROOT)}: {path.stat().st_size / 1000:.0f} kB")
-
-
-def main(wanted: Sequence[str]) -> None:
-    """Draw the named pictures, or all pictures."""
-    os.environ.setdefault("MPLBACKEND", "Agg")
-    mpl.use("Agg")
-    for name in PICTURES:
-        if not wanted or name in wanted:
-            save(draw_example(name), FOLDER / f"{name}.png")
-    for path in sorted(NOTEBOOKS.glob("*.ipynb")):
-        if not wanted or path.stem in wanted:
-            save(draw_notebook(path), NOTEBOOKS / "images" / f"{path.stem}.png")
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])
+    print(f"{path.relative_to(ROOT)}: {path.stat().st_size / 1000:.0f} kB", flush=True)

@@ -2,14 +2,13 @@
 
 The script installs the system libraries that OpenGL and Qt load: on Debian and Ubuntu the packages
 in `SYSTEM`; on other systems, it only prints their names. It also creates the virtual environment
-`.venv` with this checkout and the dependencies of its tests. It does nothing if everything is
-installed. The script itself requires only Python.
+`.venv` with this checkout and the packages of its tests, its documentation and its report. It does
+nothing if everything is installed. The script itself requires only Python.
 
     python3 scripts/setup.py                 # with the versions of constraints.txt
     python3 scripts/setup.py --newest        # with the newest versions; updates constraints.txt
     python3 scripts/setup.py --for-windows   # fails if libraries of Qt are still missing
-    python3 scripts/setup.py --for-report    # also installs the packages of the validation report
-    python3 scripts/setup.py --for-docs      # also installs the packages that build the site
+    python3 scripts/setup.py --for-report    # also installs CalculiX, for the validation report
 """
 
 import ctypes
@@ -26,8 +25,12 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 VENV = ROOT / ".venv"
+PYTHON = VENV / "bin" / "python"
+PIP = [str(PYTHON), "-m", "pip", "--disable-pip-version-check"]
 STAMP = VENV / "made-from"
 CONSTRAINTS = ROOT / "constraints.txt"
+#: This checkout, with the extras of pyproject.toml that the commands of the Makefile need.
+CHECKOUT = ["--editable", f"{ROOT}[dev,docs,report]"]
 OLDEST = (3, 11)
 VERSION = "{}.{}".format(*sys.version_info)
 
@@ -61,8 +64,10 @@ SYSTEM = (
     ("xauth", "xauth"),
 )
 VIRTUAL_DISPLAY = {"Xvfb", "xauth"}
-#: Optional requirements of the validation report.
+#: Optional requirement of the validation report.
 FOR_REPORT = (("ccx", "calculix-ccx"),)
+#: Option of pip and uv that hides their progress, which is for terminals.
+QUIET = [] if sys.stderr.isatty() else ["--quiet"]
 
 
 def say(text):
@@ -154,11 +159,6 @@ def apt_get(root, arguments, by_hand):
         say(f"`apt-get {arguments[0]}` failed (see above). If it fails again, run: {by_hand}")
 
 
-def python_of_venv():
-    """Return the path of the environment's Python interpreter."""
-    return VENV / "bin" / "python"
-
-
 def environment_key():
     """Return a digest of the requirements of the environment, to detect changes."""
     import json
@@ -174,9 +174,8 @@ def environment_key():
 
 def provide_environment(newest):
     """Create or update the virtual environment."""
-    key = environment_key()
     made_from = STAMP.read_text() if STAMP.exists() else None
-    if not newest and made_from == key and venv_works():
+    if not newest and made_from == environment_key() and venv_works():
         return
     if not can_make_environments():
         say("This Python cannot create virtual environments, but the set-up requires one.")
@@ -187,31 +186,28 @@ def provide_environment(newest):
         shutil.rmtree(VENV, ignore_errors=True)
         subprocess.check_call([sys.executable, "-m", "venv", str(VENV)])
     STAMP.unlink(missing_ok=True)
-    pip = pip_of_venv()
-    extras = "dev,docs,report" if newest else "dev"
-    wanted = ["--editable", f"{ROOT}[{extras}]"]
-    constrained = [*wanted, "--constraint", str(CONSTRAINTS)]
     if newest or not CONSTRAINTS.exists():
-        install_with_progress([*pip, "install", *wanted], check=True)
-    elif install(constrained):
+        subprocess.check_call([*PIP, "install", *QUIET, *CHECKOUT])
+    elif install([*CHECKOUT, "--constraint", str(CONSTRAINTS)]):
         say("Some versions of constraints.txt are not available; installing the newest instead.")
-        install_with_progress([*pip, "install", *wanted], check=True)
+        subprocess.check_call([*PIP, "install", *QUIET, *CHECKOUT])
     if newest:
-        write_constraints(pip)
+        write_constraints()
     STAMP.write_text(environment_key())
 
 
-def pip_of_venv():
-    """Return the command that runs pip in the environment."""
-    return [str(python_of_venv()), "-m", "pip", "--disable-pip-version-check"]
+def venv_works():
+    """Return whether the environment exists and has this version of Python."""
+    check = f"import sys; sys.exit('%d.%d' % sys.version_info[:2] != '{VERSION}')"
+    return PYTHON.exists() and quiet([str(PYTHON), "-c", check])
 
 
 def install(wanted):
     """Install with uv, which is four times as fast as pip, or with pip; return the exit status."""
-    uv, python = find_uv(), str(python_of_venv())
-    if uv and not install_with_progress([*uv, "pip", "install", "--python", python, *wanted]):
+    uv = find_uv()
+    if uv and not subprocess.call([*uv, "pip", "install", *QUIET, "--python", PYTHON, *wanted]):
         return 0
-    return install_with_progress([*pip_of_venv(), "install", *wanted])
+    return subprocess.call([*PIP, "install", *QUIET, *wanted])
 
 
 def find_uv():
@@ -219,128 +215,18 @@ def find_uv():
 
     uv does not read the settings of pip, so it is not used if these settings name an index.
     """
-    pip = pip_of_venv()
-    settings = subprocess.run([*pip, "config", "list"], capture_output=True, text=True)
+    settings = subprocess.run([*PIP, "config", "list"], capture_output=True, text=True)
     if settings.returncode or re.search(r"\.(index-url|no-index)=", settings.stdout):
         return None
     pinned = ["--constraint", str(CONSTRAINTS)] if CONSTRAINTS.exists() else []
-    if not quiet([*pip, "install", *pinned, "uv"]):
-        return None
-    return [str(python_of_venv()), "-m", "uv"]
+    return [str(PYTHON), "-m", "uv"] if quiet([*PIP, "install", *pinned, "uv"]) else None
 
 
-def install_with_progress(command, check=False):
-    """Run pip or uv with a progress display; return the exit status.
-
-    If the command fails, its output is printed.
-    """
-    line, output = Line(), []
-    running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-    named = CONSTRAINTS.read_text(encoding="utf-8") if CONSTRAINTS.exists() else ""
-    stages = Stages(named.count("=="))
-    with running:
-        for said in running.stdout:
-            output.append(said)
-            line.show(stages.after(said))
-    line.end()
-    if running.returncode:
-        say("".join(output))
-        if check:
-            raise subprocess.CalledProcessError(running.returncode, command)
-    return running.returncode
-
-
-class Stages:
-    """Progress of pip or uv in words, from its output and the expected number of packages."""
-
-    def __init__(self, expected):
-        self.expected, self.found, self.words = expected, 0, "downloading ..."
-
-    def after(self, said):
-        """Return the progress after a line of output."""
-        first, *rest = said.split() or [""]
-        if first == "Collecting" and rest:
-            self.found += 1
-            of = f" of about {max(self.expected, self.found)}" if self.expected else ""
-            self.words = f"downloading package {self.found}{of} ({rest[0]})"
-        elif said.startswith("Installing collected packages"):
-            self.words = f"installing {said.count(',') + 1} packages (a minute or two)"
-        elif first == "Resolved" and rest:
-            self.words = f"downloading {rest[0]} packages"
-        elif first == "Prepared" and rest:
-            self.words = f"installing {rest[0]} packages"
-        elif first in ("Successfully", "Installed"):
-            self.words = "installed"
-        return self.words
-
-
-class Line:
-    """Progress display: one changing line on a terminal, otherwise one line for each stage."""
-
-    def __init__(self):
-        self.live, self.shown, self.stage = sys.stderr.isatty(), "", ""
-
-    def show(self, words):
-        """Display the progress."""
-        if self.live:
-            if words != self.shown:
-                print("\r" + words.ljust(len(self.shown)), end="", file=sys.stderr, flush=True)
-            self.shown = words
-        elif words.split()[0] != self.stage:
-            self.stage = words.split()[0]
-            say(f"    {words}")
-
-    def end(self):
-        """Clear the line on a terminal, so that other output can follow."""
-        if self.live and self.shown:
-            print("\r" + " " * len(self.shown) + "\r", end="", file=sys.stderr, flush=True)
-
-
-def provide_for_report():
-    """Install the packages of the report. The report lists packages that are missing."""
-    if not provide_extra("report", "pyamg, SimpleITK"):
-        say("The report will omit the packages that could not be installed (see above).")
-
-
-def provide_for_docs():
-    """Install the packages that build the site; exit if the installation fails."""
-    if not provide_extra("docs", "sphinx, myst_parser, furo"):
-        say("The site cannot be built, because packages could not be installed (see above).")
-        sys.exit(1)
-
-
-def provide_extra(extra, modules):
-    """Install an extra of pyproject.toml if modules are missing; return whether it succeeded."""
-    python = str(python_of_venv())
-    if quiet([python, "-c", f"import {modules}"]):
-        return True
-    wanted = ["--editable", f"{ROOT}[{extra}]"]
-    return not (install([*wanted, "--constraint", str(CONSTRAINTS)]) and install(wanted))
-
-
-def venv_works():
-    """Return whether the environment exists and has this version of Python."""
-    check = f"import sys; sys.exit('%d.%d' % sys.version_info[:2] != '{VERSION}')"
-    return python_of_venv().exists() and quiet([str(python_of_venv()), "-c", check])
-
-
-def write_constraints(pip):
+def write_constraints():
     """Write the installed versions to constraints.txt."""
-    frozen = subprocess.check_output([*pip, "freeze", "--exclude-editable"], text=True)
+    frozen = subprocess.check_output([*PIP, "freeze", "--exclude-editable"], text=True)
     head = "# The versions the tests were last run with; written by `make constraints`.\n"
     CONSTRAINTS.write_text(head + frozen, encoding="utf-8")
-
-
-def provide_both(newest):
-    """Provide the system packages and the environment, in parallel if possible."""
-    if not can_make_environments():  # a system package provides this
-        lacks = provide_system()
-        provide_environment(newest)
-        return lacks
-    with ThreadPoolExecutor(1) as beside:
-        system = beside.submit(provide_system)
-        provide_environment(newest)
-        return system.result()
 
 
 def main():
@@ -350,12 +236,14 @@ def main():
         say("If a later version is installed, name it: make test PYTHON=python3.12")
         sys.exit(1)
     try:
-        lacks = provide_both(newest="--newest" in sys.argv[1:])
+        with ThreadPoolExecutor(1) as pool:
+            system = pool.submit(provide_system)
+            if not can_make_environments():
+                system.result()  # a system package provides this
+            provide_environment(newest="--newest" in sys.argv[1:])
+            lacks = system.result()
         if "--for-report" in sys.argv[1:]:
             provide_system(FOR_REPORT)
-            provide_for_report()
-        if "--for-docs" in sys.argv[1:]:
-            provide_for_docs()
     except subprocess.CalledProcessError as error:
         say(f"The set-up failed: {' '.join(str(part) for part in error.cmd)}")
         say("See the error above. The next make command tries again.")
