@@ -23,13 +23,13 @@ import numpy as np
 import numpy.typing as npt
 from fem import plane_stress_displacement, rmsd
 from figures import save_figures
-from literal import solve_literally
 from report.page import Target
 
 from napari_hmrf import ICM, BackendError, ElasticPrior, Multigrid, SeilerPrior, Solution, solve
 from napari_hmrf.data import Phantom, phantom
 from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import Prior
+from validation.oracles.literal import solve_literally
 
 CONVERGED = ICM(iterations=50_000, steps=None, energy_change=1e-7)
 WARM_UP = 5

@@ -6,11 +6,11 @@ import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 import skfem
-from followed import followed
 from scipy import ndimage
 from skfem.helpers import ddot, div, sym_grad
 
 from napari_hmrf import ElasticPrior
+from validation.oracles.followed import followed
 
 MIDDLE = np.full((3, 1), 0.5), np.ones(1)
 

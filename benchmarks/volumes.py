@@ -11,8 +11,8 @@ before and five after it; with NUMBA_NUM_THREADS=2, our wall-clock time is that 
 the paper's model, the time and the distance to finite elements are printed. For a moving volume,
 the time to draw one slice is printed, and the times to warp a head of 1 mm voxels and to locate its
 folds, relative to the time of its solve. Finally, random small volumes of every kind are compared
-with a direct solve of a matrix that scikit-fem assembled, or of `line_oracle` for the paper's
-model. Exits with 1 if a distance exceeds the reported error.
+with a direct solve of a matrix with elements by scikit-fem, or of that of the paper's model. Exits
+with 1 if a distance exceeds the reported error.
 
 With --direct, prints the distance of volumes of random stiffness to the solution of scikit-fem's
 matrix by MKL's PARDISO. With --torch-fem, prints the time of a uniform cube compared with

@@ -22,7 +22,7 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parent.parent
 #: Folders that are copied.
-_FOLDERS = "napari_hmrf", "shaders", "sample_data", "benchmarks", "tests"
+_FOLDERS = "napari_hmrf", "shaders", "sample_data", "benchmarks", "tests", "validation"
 #: Beginnings of the paths of files with compiled loops, relative to `napari_hmrf`.
 _LOOPS = (
     "solver/backends/cpu/",

@@ -9,12 +9,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 from fem import rmsd
-from readings import bar_strain_ratio, solve_exactly
+from readings import bar_strain_ratio
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, solve
 from report.assembly import solve_directly
 from report.page import Section, Settings, Target
 from report.pictures import COLOURS, new_figure, save
+from validation.oracles.paper import solve_exactly
 
 Float64Array = npt.NDArray[np.float64]
 POISSON = 0.3

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from fem import plane_stress_displacement, rmsd
-from readings import solve_exactly
 from run import PHANTOMS
 
 from napari_hmrf import ConvergenceError, ElasticPrior, Multigrid, Problem, SeilerPrior, solve
@@ -14,6 +13,7 @@ from report import calculix
 from report.assembly import solve_directly
 from report.page import Section, Settings, Target
 from report.pictures import draw_differences, draw_grid, new_figure, save
+from validation.oracles.paper import solve_exactly
 
 POISSON = 0.3
 TISSUES: tuple[tuple[float, Plane], ...] = (

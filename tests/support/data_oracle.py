@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
-from followed import followed
 
 from napari_hmrf.loads import Loads
 from napari_hmrf.solver.priors.elements import element_stiffness
 from napari_hmrf.solver.problem import Problem
+from validation.oracles.followed import followed
 
 
 def elastic_matrix(problem, prior) -> sp.csr_array:
