@@ -14,12 +14,12 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from volume_oracle import direct_solution
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, SeilerPrior, solve
 from napari_hmrf.errors import ConvergenceError, ProblemError
 from napari_hmrf.solver.backends.cpu import layout
 from napari_hmrf.solver.backends.direct.factors import Factors
+from validation.oracles.elasticity import direct_solution
 from validation.oracles.paper import solve_exactly
 
 TOLERANCE = 0.01
@@ -69,7 +69,7 @@ def judged(seed: int, paper: bool = False) -> tuple[str, str]:
         return "have no unique solution", ""
     except ConvergenceError as error:
         return "are refused, because cycles cannot bound the error", f"volume {seed}: {error}"
-    truth = solve_exactly(problem, "centred") if paper else direct_solution(problem, poisson)
+    truth = solve_exactly(problem, "centred") if paper else direct_solution(problem, prior)
     apart = np.abs(found.displacement - truth)[problem.tissue].max() / problem.unit
     assert found.convergence is not None
     if apart > found.convergence.error + _ROUNDED:

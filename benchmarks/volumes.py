@@ -43,7 +43,6 @@ import numpy.typing as npt
 import scipy.sparse as sp
 from random_volumes import TOLERANCE, judge
 from report.memory import added_by
-from volume_oracle import parameters
 from volume_rivals import print_direct, print_torch_fem
 
 from napari_hmrf import ICM, ElasticPrior, Multigrid, Problem, SeilerPrior, Solution, solve
@@ -57,6 +56,7 @@ from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.priors.elements import Lame
 from napari_hmrf.solver.priors.hexahedra import brick_shape
+from validation.oracles.elasticity import lame_parameters as parameters
 
 WITHIN = Multigrid(TOLERANCE)
 _NAMES = {False: "cube, held at its faces", True: "ball, held at a cap"}
@@ -180,7 +180,7 @@ def print_pyamg(size: int) -> None:
 
 def stiffness_matrix(problem: Problem, poisson: float) -> sp.csr_matrix:
     """Return the stiffness matrix, a weighted sum of the two matrices of one element."""
-    first, shear = (each.ravel() for each in parameters(problem, poisson))
+    first, shear = (each.ravel() for each in parameters(problem, ElasticPrior(poisson)))
     one, none = np.ones((1, 1, 1)), np.zeros((1, 1, 1))
     shape, corners = brick_shape(problem.spacing), np.eye(24).reshape(24, 2, 2, 2, 3)
     parts = [

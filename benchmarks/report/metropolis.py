@@ -14,9 +14,9 @@ import numpy.typing as npt
 
 from napari_hmrf import ICM, ElasticPrior, Multigrid, Problem, SeilerPrior, Solution, solve
 from napari_hmrf.data import phantom
-from report.assembly import assemble, solve_directly
 from report.page import Section, Settings, Target
 from report.pictures import COLOURS, new_figure, save
+from validation.oracles.elasticity import assemble, direct_solution
 from validation.oracles.paper import residual_matrix, solve_exactly
 
 Float64Array = npt.NDArray[np.float64]
@@ -144,7 +144,7 @@ def elastic_curves(problem: Problem, lengths: Sequence[int]) -> list[Curve]:
     """Return the curves of the elastic energy, by annealing and by Multigrid."""
     prior = ElasticPrior()
     system = assemble(problem, prior)
-    least = solve_directly(problem, prior)
+    least = direct_solution(problem, prior)
     minimum = prior.energy(problem, least)
 
     def run(tolerance: float) -> Callable[[], Solution]:
