@@ -124,7 +124,7 @@ solving: setup
 	@$(RUN) benchmarks/solving.py $(if $(AGAINST),--against $(AGAINST))
 
 report: setup-for-report
-	@$(RUN) benchmarks/validation.py
+	@$(RUN) benchmarks/validation_report.py
 
 hard: setup-for-report
 	@$(RUN) benchmarks/hard.py --page docs/validation/hard.md

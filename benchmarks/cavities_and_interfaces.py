@@ -20,21 +20,19 @@ import sys
 import time
 from collections import Counter
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 import scipy.linalg
 import scipy.ndimage
-import skfem
-from skfem.helpers import ddot, div, sym_grad
 
 from napari_hmrf import ConvergenceError, ElasticPrior, Problem, ProblemError, solve
 from napari_hmrf.loads import Loads, cavity, weight
 from napari_hmrf.solver.interface_normals import interface_normals
 from napari_hmrf.solver.neighbours import around_sites, in_elements
 from napari_hmrf.tissue import SlidingParts
+from validation.oracles.elasticity import element_matrices
 
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
@@ -274,45 +272,6 @@ def _held(dice: np.random.Generator, tissue: Flags, labels: npt.NDArray[np.int32
     return held & around_sites(in_elements(tissue), np.logical_or)[..., None]
 
 
-@skfem.BilinearForm
-def _change_of_volume(u, v, w):  # type: ignore[no-untyped-def]
-    return div(u) * div(v)
-
-
-@skfem.BilinearForm
-def _change_of_shape(u, v, w):  # type: ignore[no-untyped-def]
-    return 2 * ddot(sym_grad(u), sym_grad(v))
-
-
-@lru_cache(maxsize=256)
-def _element(spacing: tuple[float, ...], *, full: bool) -> tuple[Array, Array]:
-    """Return the matrices of one element for a first Lame parameter of 1 and a shear modulus of 1.
-
-    Parameters
-    ----------
-    spacing : tuple of float
-    full : bool
-        True to integrate changes of volume fully; False to evaluate them at the middle, as in
-        plane strain and in volumes.
-    """
-    axes = len(spacing)
-    sides = [np.array([0.0, side]) for side in spacing]
-    if axes == 2:
-        mesh, nodal = skfem.MeshQuad.init_tensor(*sides), skfem.ElementQuad1()
-    else:
-        mesh, nodal = skfem.MeshHex.init_tensor(*sides), skfem.ElementHex1()
-    kind = skfem.ElementVector(nodal)
-    middle = np.full((axes, 1), 0.5), np.ones(1)
-    exact = skfem.Basis(mesh, kind, intorder=4)
-    reduced = exact if full else skfem.Basis(mesh, kind, quadrature=middle)
-    corner = np.rint(mesh.p / np.array(spacing)[:, None]).astype(int)
-    order = np.argsort(np.ravel_multi_index(tuple(corner), (2,) * axes))
-    dofs = exact.nodal_dofs[:, order].T.ravel()
-    volume = _change_of_volume.assemble(reduced).toarray()[np.ix_(dofs, dofs)]
-    shape = _change_of_shape.assemble(exact).toarray()[np.ix_(dofs, dofs)]
-    return volume, shape
-
-
 def _lame(young: float, nu: float, case: Case) -> tuple[float, float]:
     """Return the first Lame parameter, in plane stress its plane counterpart, and the shear."""
     shear = young / (2 * (1 + nu))
@@ -404,7 +363,10 @@ def dense_solution(case: Case, tilt: float = 0.0, number: int = 0) -> tuple[Arra
     owner = np.full(m.size, -1)
     for part, label in enumerate(parts):
         owner[(tissue & (case.labels == label)).ravel()] = part
-    volume, shear = _element(case.spacing, full=axes == 2 and case.plane == "stress")
+    full = axes == 2 and case.plane == "stress"
+    volume, shear = (
+        each.reshape(axes * 2**axes, -1) for each in element_matrices(case.spacing, full=full)
+    )
     node = np.full((len(parts), m.size), -1)
     for part in range(len(parts)):
         for element in around:

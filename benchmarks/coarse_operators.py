@@ -17,12 +17,12 @@ from collections.abc import Sequence
 
 import numpy as np
 import scipy.sparse as sp
-from report.assembly import assemble
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, solve
 from napari_hmrf.data import phantom
 from napari_hmrf.solver.coarse_levels import COARSEST, smoother_bounds
 from napari_hmrf.solver.optimizers.cycle import STRETCHING, chebyshev
+from validation.oracles.elasticity import assemble
 
 _FALL = 1e-6
 

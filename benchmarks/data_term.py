@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from napari_hmrf import ElasticPrior, Problem, Solution, solve
 from napari_hmrf.landmarks import Landmarks
-from tests.support.data_oracle import posterior_mean
+from validation.oracles.posterior import posterior_mean
 
 Array = npt.NDArray[np.float64]
 _GRIDS = (((40, 50), (1.0, 1.0)), ((48, 36), (1.0, 2.0)), ((13, 14, 15), (1.0, 1.0, 1.0)))

@@ -1,7 +1,7 @@
 """Random small volumes of every kind, compared with a direct solve.
 
-The matrix of the direct solve is assembled by scikit-fem, or by `line_oracle` for the paper's
-model. Every second volume is solved as if it were too large for a factorization, so that cycles and
+The matrix of the direct solve consists of elements by scikit-fem, or is that of the paper's model.
+Every second volume is solved as if it were too large for a factorization, so that cycles and
 factorizations are both tested. Half of the volumes are stored without their void, as large volumes
 are.
 """
@@ -14,13 +14,13 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from line_oracle import field_of_means
-from volume_oracle import direct_solution
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, SeilerPrior, solve
 from napari_hmrf.errors import ConvergenceError, ProblemError
 from napari_hmrf.solver.backends.cpu import layout
 from napari_hmrf.solver.backends.direct.factors import Factors
+from validation.oracles.elasticity import direct_solution
+from validation.oracles.paper import solve_exactly
 
 TOLERANCE = 0.01
 #: Outcome of a volume with a wrong solution.
@@ -69,7 +69,7 @@ def judged(seed: int, paper: bool = False) -> tuple[str, str]:
         return "have no unique solution", ""
     except ConvergenceError as error:
         return "are refused, because cycles cannot bound the error", f"volume {seed}: {error}"
-    truth = field_of_means(problem) if paper else direct_solution(problem, poisson)
+    truth = solve_exactly(problem, "centred") if paper else direct_solution(problem, prior)
     apart = np.abs(found.displacement - truth)[problem.tissue].max() / problem.unit
     assert found.convergence is not None
     if apart > found.convergence.error + _ROUNDED:

@@ -13,66 +13,15 @@ import sys
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
-import scipy.sparse as sp
-import scipy.sparse.linalg as spl
-from fem import plane_stress_displacement, rmsd
 
-from napari_hmrf import Problem
+from napari_hmrf import ElasticPrior, Problem
 from napari_hmrf.data import phantom
-from napari_hmrf.solver.priors import line_steps, line_weights
+from napari_hmrf.fields import rmsd
+from validation.oracles.elasticity import direct_solution
+from validation.oracles.paper import solve_exactly
 
 BAR_LENGTHS = (8, 64, 256, 1200)
 PHANTOMS = ("expansion", "mass-effect")
-
-
-def solve_exactly(problem: Problem, reading: str) -> npt.NDArray[np.float64]:
-    """Return the field, (H, W, 2), at which every site is at its minimum, prescribed where c > 0.
-
-    Parameters
-    ----------
-    problem : Problem
-        Problem to solve.
-    reading : {"centred", "blanket"}
-        Blanket is the exact minimizer of eq. 7; centred is the fixed point of the site updates.
-    """
-    height, width = problem.shape
-    number = np.arange(height * width).reshape(problem.shape)
-    m = problem.stiffness.astype(np.float64)
-    field = np.where(problem.confidence > 0, problem.observed, 0).astype(np.float64)
-    weights = line_weights(problem.spacing)
-    for component in (0, 1):
-        parts = []
-        for line, (di, dj) in enumerate(line_steps(2)):
-            i, j = np.mgrid[
-                abs(di) : max(height - abs(di), abs(di)), abs(dj) : max(width - abs(dj), abs(dj))
-            ]
-            s, t, u = (number[i + k * di, j + k * dj].ravel() for k in (-1, 0, 1))
-            ms, mt, mu = (m.ravel()[site] for site in (s, t, u))
-            exist = (ms > 0) & (mt > 0) & (mu > 0) & (weights[line, component] > 0)
-            s, t, u, ms, mt, mu = (values[exist] for values in (s, t, u, ms, mt, mu))
-            to_s, to_u, one = mt / ms, mt / mu, np.ones(len(t))
-            scale = np.sqrt(weights[line, component])
-            parts.append((s, t, u, -to_u * scale, (1 + to_u) * scale, -one * scale))
-            parts.append((s, t, u, -one * scale, (1 + to_s) * scale, -to_s * scale))
-        s, t, u, at_s, at_t, at_u = (np.concatenate(each) for each in zip(*parts, strict=True))
-        row = np.arange(len(t))
-        shape = (len(t), height * width)
-        middle = sp.csr_matrix((at_t, (row, t)), shape=shape)
-        residual = middle + sp.csr_matrix(
-            (np.concatenate([at_s, at_u]), (np.tile(row, 2), np.concatenate([s, u]))), shape=shape
-        )
-        matrix = (middle if reading == "centred" else residual).T @ residual
-        if not len(t):
-            continue
-        free = (problem.confidence[..., component].ravel() == 0) & (
-            np.asarray(matrix.diagonal()) > 0
-        )
-        values = field[..., component].ravel()
-        right = -(matrix[free][:, ~free] @ values[~free])
-        values[free] = spl.spsolve(matrix[free][:, free].tocsc(), right)
-        field[..., component] = values.reshape(problem.shape)
-    return field
 
 
 def bar_strain_ratio(length: int, ratio: float, reading: str) -> float:
@@ -97,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         rows: dict[str, list[float]] = {"centred": [], "blanket": [], "rms of the field": []}
         for size in sizes:
             problem = phantom(name, size).problem
-            truth = plane_stress_displacement(problem)
+            truth = direct_solution(problem, ElasticPrior(0.3))
             for reading in ("centred", "blanket"):
                 found = solve_exactly(problem, reading)
                 rows[reading].append(rmsd(found, truth, problem.tissue))

@@ -21,15 +21,16 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from fem import plane_stress_displacement, rmsd
 from figures import save_figures
-from literal import solve_literally
 from report.page import Target
 
 from napari_hmrf import ICM, BackendError, ElasticPrior, Multigrid, SeilerPrior, Solution, solve
 from napari_hmrf.data import Phantom, phantom
+from napari_hmrf.fields import rmsd
 from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import Prior
+from validation.oracles.elasticity import direct_solution
+from validation.oracles.literal import solve_literally
 
 CONVERGED = ICM(iterations=50_000, steps=None, energy_change=1e-7)
 WARM_UP = 5
@@ -128,7 +129,7 @@ def table_1(name: str, size: int = 300) -> tuple[list[Result], Reference]:
     """Solve a phantom by every method and by finite elements."""
     problem = phantom(name, size).problem
     started = time.perf_counter()
-    truth = plane_stress_displacement(problem)
+    truth = direct_solution(problem, ElasticPrior(0.3))
     seconds = time.perf_counter() - started
     motion = float(np.sqrt((truth[problem.tissue] ** 2).sum(-1).mean()))
     methods: list[tuple[str, Prior, Optimizer, float]] = [

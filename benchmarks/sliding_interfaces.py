@@ -16,7 +16,6 @@ from __future__ import annotations
 import argparse
 import time
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -29,8 +28,8 @@ from napari_hmrf.loads import Loads
 from napari_hmrf.solver.interface_normals import interface_normals
 from napari_hmrf.solver.neighbours import corner_slices, in_elements
 from napari_hmrf.tissue import SlidingParts
-from tests.support.data_oracle import elastic_matrix
-from tests.support.sliding_oracle import least_energy
+from validation.oracles.elasticity import grid_matrix, lame_parameters
+from validation.oracles.posterior import sliding_field
 
 Array = npt.NDArray[np.float64]
 _SLIP, _NU = 4.0, 0.3
@@ -151,7 +150,8 @@ def layer(case: Case, soft: float, *, along: bool) -> Array:
     corners = np.stack([case.inner[at] for at in corner_slices((63, 63))], axis=-1)
     cut = corners.any(-1) & ~corners.all(-1) & in_elements(case.stiffness)
     problem = case.problem(connected=True)
-    matrix = elastic_matrix(problem, _WithoutCut(_NU, cut))
+    moduli = (np.where(cut, 0.0, each) for each in lame_parameters(problem, ElasticPrior(_NU)))
+    matrix = grid_matrix(problem.spacing, *moduli, full=True)
     first = np.argwhere(cut)
     centre = first + 0.5
     nearest = scipy.spatial.cKDTree(case.points).query(centre)[1]
@@ -179,20 +179,6 @@ def layer(case: Case, soft: float, *, along: bool) -> Array:
     free = ~held & (matrix.diagonal() > 0)
     field[free] = spl.spsolve(matrix[free][:, free].tocsc(), -(matrix @ field)[free])
     return field.reshape(case.exact.shape)
-
-
-class _WithoutCut(ElasticPrior):
-    """Elastic prior without the elements of the layer."""
-
-    def __init__(self, poisson: float, cut: npt.NDArray[np.bool_]) -> None:
-        super().__init__(poisson)
-        object.__setattr__(self, "_cut", cut)
-
-    def lame(self, problem: Problem, sites: slice = slice(None)) -> Any:
-        """Return Lame parameters, 0 in the layer."""
-        return type(whole := super().lame(problem, sites))(
-            *(np.where(vars(self)["_cut"], 0.0, each) for each in whole)
-        )
 
 
 def _strains() -> list[Array]:
@@ -344,7 +330,7 @@ def errors(count: int = 24) -> None:
         except ConvergenceError:
             failed += 1
             continue
-        far = np.abs(solution.displacement - least_energy(problem, prior)).max() / problem.unit
+        far = np.abs(solution.displacement - sliding_field(problem, prior)).max() / problem.unit
         assert solution.convergence is not None
         found.append((float(far), solution.convergence.error, len(solution.energy) - 1))
     largest = max(error for error, _, _ in found)

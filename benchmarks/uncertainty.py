@@ -31,7 +31,6 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from benchmarks.fem import plane_stress_displacement, plane_stress_matrix
 from napari_hmrf import ElasticPrior, Problem, solve
 from napari_hmrf.io.images import read_image
 from napari_hmrf.landmarks import Landmarks, StrainScale
@@ -43,11 +42,13 @@ from napari_hmrf.posterior.noise import PosteriorNoise
 from napari_hmrf.posterior.response import Response
 from napari_hmrf.posterior.sampling import Sampler, checked_prior, energy_of
 from napari_hmrf.posterior.scale_fit import Likelihood
-from tests.support.data_oracle import interpolation
-from tests.support.posterior_oracle import posterior_covariance
+from validation.oracles.elasticity import direct_solution, stiffness_matrix
+from validation.oracles.posterior import interpolation, posterior_covariance
 
 Array = npt.NDArray[np.float64]
 _SCALE = StrainScale(0.1)
+# Tissue of the true motion.
+_TRUTH = ElasticPrior(0.3)
 _COUNTS = (30, 300, 3000)
 _TABLES = ("samples", "coverage", "landmark", "scales", "power", "fits", "maps")
 _TABLES += ("accuracy", "times")
@@ -136,7 +137,7 @@ def coverage(count: int = 2000) -> None:
         energy = _SCALE.energy(bare.stiffness, spacing)
         # The truth is a sample of the prior, by another assembly of the elements.
         free = (c == 0).ravel()
-        root = np.linalg.cholesky(plane_stress_matrix(bare)[np.ix_(free, free)])
+        root = np.linalg.cholesky(stiffness_matrix(bare, _TRUTH).toarray()[np.ix_(free, free)])
         truth = np.zeros(c.size)
         truth[free] = np.sqrt(energy) * np.linalg.solve(root.T, rng.normal(size=free.sum()))
         points = rng.random((int(rng.integers(1, 7)), 2)) * (np.array(grid) - 1)
@@ -204,7 +205,7 @@ class _Landmarked:
         points = self.rng.random((landmarks, 2)) * (np.array(self.grid) - 1)
         marks = Landmarks(points, points, sd=self.sd, scale=_SCALE)
         self._rows = interpolation(points, self.grid)
-        self._assumed = plane_stress_displacement(self._tissue(1.0)).ravel()
+        self._assumed = direct_solution(self._tissue(1.0), _TRUTH).ravel()
         problem = Problem(
             observed=self._observed,
             confidence=self._confidence,
@@ -230,9 +231,9 @@ class _Landmarked:
             relative to that of uniform tissue.
         """
         true, free = self._tissue(stiffness), (self._confidence == 0).ravel()
-        root = np.linalg.cholesky(plane_stress_matrix(true)[np.ix_(free, free)])
+        root = np.linalg.cholesky(stiffness_matrix(true, _TRUTH).toarray()[np.ix_(free, free)])
         seen = self._rows[:, np.flatnonzero(free)].toarray()
-        mean = self._rows @ (plane_stress_displacement(true).ravel() - self._assumed)
+        mean = self._rows @ (direct_solution(true, _TRUTH).ravel() - self._assumed)
         return mean, scipy.linalg.solve_triangular(root, np.sqrt(self.energy) * seen.T, lower=True)
 
     def draw(
@@ -399,7 +400,7 @@ def fits(count: int = 100) -> None:
                 )
                 field = solve(problem, prior, backend="cpu").displacement
             else:
-                field = plane_stress_displacement(problem)
+                field = direct_solution(problem, _TRUTH)
             sd = 0.05 * float(np.sqrt((field**2).mean()))
             seen = field + rng.normal(0, sd, field.shape)
             guess = Problem(
@@ -448,8 +449,8 @@ def maps(count: int = 10) -> None:
         for row, col in ((22, 20), (42, 44)):
             middle = rng.uniform(-3, 3, 2) + np.array((row, col))
             inside |= np.hypot(rows - middle[0], cols - middle[1]) < rng.uniform(7, 10)
-        field = plane_stress_displacement(
-            Problem(observed=moved, confidence=held, stiffness=np.where(inside, 3.0, 1.0))
+        field = direct_solution(
+            Problem(observed=moved, confidence=held, stiffness=np.where(inside, 3.0, 1.0)), _TRUTH
         )
         sd = 0.05 * float(np.sqrt((field**2).mean()))
         seen = field + rng.normal(0, sd, field.shape)

@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from volume_oracle import direct_solution
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, Solution, solve
 from napari_hmrf.extras import how_to_install
+from validation.oracles.elasticity import direct_solution
 
 _MISSING = f"is not installed: {how_to_install('rivals')}"
 _OBLONG = (1.0, 1.7, 0.6)
@@ -72,7 +72,7 @@ def print_direct(size: int, ratios: Sequence[float] = (0.3, 0.45, 0.49)) -> None
             problem, ElasticPrior(poisson), optimizer=Multigrid(_TOLERANCE), backend="cpu"
         )
         between = time.perf_counter()
-        expected = direct_solution(problem, poisson, solved=by_pardiso)
+        expected = direct_solution(problem, ElasticPrior(poisson), solved=by_pardiso)
         ended = time.perf_counter()
         off = float(np.abs(found.displacement - expected).max()) / problem.unit
         assert found.convergence is not None

@@ -11,8 +11,8 @@ before and five after it; with NUMBA_NUM_THREADS=2, our wall-clock time is that 
 the paper's model, the time and the distance to finite elements are printed. For a moving volume,
 the time to draw one slice is printed, and the times to warp a head of 1 mm voxels and to locate its
 folds, relative to the time of its solve. Finally, random small volumes of every kind are compared
-with a direct solve of a matrix that scikit-fem assembled, or of `line_oracle` for the paper's
-model. Exits with 1 if a distance exceeds the reported error.
+with a direct solve of a matrix with elements by scikit-fem, or of that of the paper's model. Exits
+with 1 if a distance exceeds the reported error.
 
 With --direct, prints the distance of volumes of random stiffness to the solution of scikit-fem's
 matrix by MKL's PARDISO. With --torch-fem, prints the time of a uniform cube compared with
@@ -43,7 +43,6 @@ import numpy.typing as npt
 import scipy.sparse as sp
 from random_volumes import TOLERANCE, judge
 from report.memory import added_by
-from volume_oracle import parameters
 from volume_rivals import print_direct, print_torch_fem
 
 from napari_hmrf import ICM, ElasticPrior, Multigrid, Problem, SeilerPrior, Solution, solve
@@ -57,6 +56,7 @@ from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.priors.elements import Lame
 from napari_hmrf.solver.priors.hexahedra import brick_shape
+from validation.oracles.elasticity import lame_parameters as parameters
 
 WITHIN = Multigrid(TOLERANCE)
 _NAMES = {False: "cube, held at its faces", True: "ball, held at a cap"}
@@ -180,7 +180,7 @@ def print_pyamg(size: int) -> None:
 
 def stiffness_matrix(problem: Problem, poisson: float) -> sp.csr_matrix:
     """Return the stiffness matrix, a weighted sum of the two matrices of one element."""
-    first, shear = (each.ravel() for each in parameters(problem, poisson))
+    first, shear = (each.ravel() for each in parameters(problem, ElasticPrior(poisson)))
     one, none = np.ones((1, 1, 1)), np.zeros((1, 1, 1))
     shape, corners = brick_shape(problem.spacing), np.eye(24).reshape(24, 2, 2, 2, 3)
     parts = [

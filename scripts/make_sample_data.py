@@ -15,15 +15,14 @@ from pathlib import Path
 import numpy as np
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT / "benchmarks"))
+sys.path.insert(0, str(ROOT))
 
-from fem import plane_stress_displacement  # noqa: E402
-
-from napari_hmrf import solve  # noqa: E402
+from napari_hmrf import ElasticPrior, solve  # noqa: E402
 from napari_hmrf.data import PHANTOM_NAMES, phantom  # noqa: E402
 from napari_hmrf.loads import growth  # noqa: E402
 from napari_hmrf.samples.phantoms import held_brain  # noqa: E402
 from napari_hmrf.solver.problem import variant_of  # noqa: E402
+from validation.oracles.elasticity import direct_solution  # noqa: E402
 
 #: Fixed date in the archives, so that equal arrays give identical files.
 DATE = (2000, 1, 1, 0, 0, 0)
@@ -36,7 +35,7 @@ NOISE = 4.0
 def sample_arrays(name: str) -> dict[str, np.ndarray]:
     """Return the arrays of a phantom's file."""
     drawn = phantom(name)
-    reference = plane_stress_displacement(drawn.problem)
+    reference = direct_solution(drawn.problem, ElasticPrior(0.3))
     return {
         "image": drawn.image,
         "tissue_labels": drawn.tissue_labels,

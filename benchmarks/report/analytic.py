@@ -8,13 +8,14 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from fem import rmsd
-from readings import bar_strain_ratio, solve_exactly
+from readings import bar_strain_ratio
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, solve
-from report.assembly import solve_directly
+from napari_hmrf.fields import rmsd
 from report.page import Section, Settings, Target
 from report.pictures import COLOURS, new_figure, save
+from validation.oracles.elasticity import direct_solution
+from validation.oracles.paper import solve_exactly
 
 Float64Array = npt.NDArray[np.float64]
 POISSON = 0.3
@@ -137,7 +138,7 @@ def errors(case: Case, size: int, poisson: float = POISSON) -> Errors:
     field.
     """
     prior = ElasticPrior(poisson)
-    direct = solve_directly(case.problem, prior)
+    direct = direct_solution(case.problem, prior)
     found = solve(case.problem, prior, optimizer=Multigrid(0.01), backend="cpu").displacement
     scale = rmsd(case.exact, 0 * case.exact, case.inside)
     algebraic = rmsd(found, direct, case.inside) / scale

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-import tempfile
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from volume_oracle import calculix_solution, direct_solution
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, solve
-from report import calculix
 from report.page import Section, Settings, Target
+from validation.oracles import calculix
+from validation.oracles.elasticity import direct_solution
 
 Float64Array = npt.NDArray[np.float64]
 POISSON = 0.3
@@ -44,8 +42,9 @@ def mixed(size: int) -> Problem:
 def _assembly(page: Section, settings: Settings) -> None:
     size = settings.choose(20, 8)
     problem = mixed(size)
-    direct = direct_solution(problem, POISSON)
-    found = solve(problem, ElasticPrior(POISSON), optimizer=Multigrid(1e-3), backend="cpu")
+    prior = ElasticPrior(POISSON)
+    direct = direct_solution(problem, prior)
+    found = solve(problem, prior, optimizer=Multigrid(1e-3), backend="cpu")
     off = _apart(found.displacement, direct, problem)
     page.say(
         f"""**Question.** Does the field of a volume equal finite elements? {size} x {size} x
@@ -58,9 +57,8 @@ def _assembly(page: Section, settings: Settings) -> None:
     if not calculix.is_there():
         page.say(f"CalculiX is not installed: {calculix.HOW}.")
         return
-    locking = direct_solution(problem, POISSON, locking=True)
-    with tempfile.TemporaryDirectory() as folder:
-        theirs = calculix_solution(problem, POISSON, Path(folder))
+    locking = direct_solution(problem, prior, locking=True)
+    theirs = calculix.solve(problem, "C3D8", POISSON)
     agree, reduced = (_apart(each, locking, problem) for each in (theirs, direct))
     page.say(
         f"""CalculiX's bricks C3D8 are fully integrated. The same assembly with full integration

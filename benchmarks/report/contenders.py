@@ -26,9 +26,10 @@ from scipy.sparse.linalg import spsolve
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, solve
 from napari_hmrf.data import phantom
-from report import calculix
-from report.assembly import System, assemble, solve_directly
 from report.memory import peak_megabytes, peak_of_programs
+from validation.oracles import calculix
+from validation.oracles.elasticity import System, assemble
+from validation.oracles.elasticity import direct_solution as solve_directly
 
 Field = npt.NDArray[Any]
 #: Definition of "converged": largest distance of any site from the converged field, in pixels.

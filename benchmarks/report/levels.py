@@ -7,8 +7,6 @@ from typing import Any
 import numba
 import numpy as np
 import numpy.typing as npt
-from literal import _prolong
-from readings import solve_exactly
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem
 from napari_hmrf.data import phantom
@@ -16,6 +14,8 @@ from napari_hmrf.solver.backends import SolveJob, compute_thread, open_backend
 from napari_hmrf.solver.quadtree import levels, nearest_pixels
 from report.page import Section, Settings
 from report.pictures import COLOURS, new_figure, save
+from validation.oracles.literal import prolong
+from validation.oracles.paper import solve_exactly
 
 #: Root mean square distance from the converged field to reach, in pixels.
 WITHIN = 0.01
@@ -134,7 +134,7 @@ def icm_sweeps(problem: Problem, truth: npt.NDArray[np.float64], count: int) -> 
         held = np.ascontiguousarray(problem.confidence[at]) > 0
         d = np.zeros((*level.shape, 2), dtype=np.float32)
         if coarse is not None:
-            _prolong(coarse, coarse_m, m, d)
+            prolong(coarse, coarse_m, m, d)
         d = np.where(held, y, d).astype(np.float64)
         target, sweeps, finest = d.copy(), 0, level.number == 0
         while sweeps < _MOST:

@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, solve
 from napari_hmrf.loads import Loads, growth, pressure, reactions, traction, weight
-from report import calculix
 from report.page import Section, Settings, Target
+from validation.oracles import calculix
 
 Float64Array = npt.NDArray[np.float64]
 POISSON = 0.3
@@ -24,15 +24,6 @@ CALCULIX = (
     ("volume, nu 0, C3D8", 3, "strain", 0.0),
     ("volume, C3D8", 3, "strain", POISSON),
 )
-# Corners of an element in CalculiX's order, and the corner numbers of its faces.
-_CORNERS = {
-    2: ((0, 0), (1, 0), (1, 1), (0, 1)),
-    3: tuple((*face, k) for k in (0, 1) for face in ((0, 0), (1, 0), (1, 1), (0, 1))),
-}
-_FACES = {
-    2: ((0, 1), (1, 2), (2, 3), (3, 0)),
-    3: ((0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 4, 5), (1, 2, 5, 6), (2, 3, 6, 7), (3, 0, 7, 4)),
-}
 
 
 class Case(NamedTuple):
@@ -119,7 +110,16 @@ def to_calculix(case: Case, plane: str, nu: float) -> tuple[float, float, float]
     prior = ElasticPrior(nu, plane="stress" if plane == "stress" else "strain")
     problem, axes = case.problem, case.stiffness.ndim
     found = solve(problem, prior, optimizer=Multigrid(1e-5), backend="cpu")
-    theirs = by_calculix(case, nu, plane == "stress")
+    theirs = calculix.loaded_field(
+        case.stiffness,
+        case.spacing,
+        nu,
+        stress=plane == "stress",
+        strain=case.strain,
+        pull=case.pull,
+        surface=case.surface,
+        pressure=case.amount,
+    )
     off = float(np.abs(found.displacement - theirs)[problem.tissue].max())
     holds = reactions(problem, found).reshape(-1, axes).sum(axis=0)
     loads = problem.loads
@@ -128,69 +128,6 @@ def to_calculix(case: Case, plane: str, nu: float) -> tuple[float, float, float]
         given = loads.force.reshape(-1, axes).sum(axis=0, dtype=np.float64)
     unbalanced = float(np.abs(holds + given).max() / np.abs(given).max())
     return off / problem.unit, float(np.abs(theirs).max()) / problem.unit, unbalanced
-
-
-def by_calculix(case: Case, poisson: float, stress: bool) -> Float64Array:
-    """Return the field by CalculiX, in the unit of the spacing."""
-    numbers, values = calculix.run(deck(case, poisson, stress))
-    axes = case.stiffness.ndim
-    field = np.zeros((*case.stiffness.shape, axes))
-    field.reshape(-1, axes)[numbers - 1] = values[:, :axes]
-    return field
-
-
-def deck(case: Case, poisson: float, stress: bool) -> str:
-    """Return the input file; plane stress is plane strain with other constants."""
-    axes, shape = case.stiffness.ndim, case.stiffness.shape
-    number = 1 + np.arange(case.stiffness.size).reshape(shape)
-    young, nu, expansion = 1.0, poisson, 1.0
-    if stress:
-        young = (1 + 2 * nu) / (1 + nu) ** 2
-        expansion, nu = (1 + nu) / (1 + 2 * nu), nu / (1 + nu)
-    elements: dict[tuple[int, ...], float] = {}
-    for first in np.ndindex(*(size - 1 for size in shape)):
-        corners = case.stiffness[tuple(slice(at, at + 2) for at in first)]
-        if corners.min() > 0:
-            elements[first] = float(corners.mean())
-    named = {first: 1 + n for n, first in enumerate(elements)}
-
-    def around(first: tuple[int, ...]) -> list[int]:
-        return [int(number[tuple(np.add(first, corner))]) for corner in _CORNERS[axes]]
-
-    nodes = sorted({node for first in elements for node in around(first)})
-    lines = ["*NODE, NSET=ALL"]
-    for node in nodes:
-        at = np.array(np.unravel_index(node - 1, shape)) * case.spacing
-        lines.append(f"{node}, {', '.join(f'{x:.12g}' for x in (*at, 0.0)[:3])}")
-    kind = "CPE4" if axes == 2 else "C3D8"
-    for first, modulus in elements.items():
-        n = named[first]
-        lines += [
-            f"*ELEMENT, TYPE={kind}, ELSET=E{n}",
-            f"{n}, {', '.join(map(str, around(first)))}",
-        ]
-        lines += [f"*MATERIAL, NAME=M{n}", "*ELASTIC", f"{young * modulus:.12g}, {nu:.12g}"]
-        lines += ["*EXPANSION, ZERO=0", f"{expansion:.12g}", "*DENSITY", "1."]
-        lines += [f"*SOLID SECTION, ELSET=E{n}, MATERIAL=M{n}", *(["1."] if axes == 2 else [])]
-    lines += ["*ELSET, ELSET=EVERY", *map(str, named.values())]
-    lines += ["*INITIAL CONDITIONS, TYPE=TEMPERATURE", "ALL, 0.", "*STEP", "*STATIC", "*BOUNDARY"]
-    lines += [f"{node}, 1, {axes}" for node in nodes if node in number[0]]
-    lines += ["*TEMPERATURE"]
-    lines += [f"{node}, {case.strain.flat[node - 1]:.12g}" for node in nodes]
-    size, presses = math.hypot(*case.pull), np.broadcast_to(case.amount, shape)
-    way = ", ".join(f"{each / size:.15g}" for each in (*case.pull, 0.0)[:3])
-    lines += ["*DLOAD", f"EVERY, GRAV, {size:.15g}, {way}"]
-    for first, (face, corners) in itertools.product(elements, enumerate(_FACES[axes], start=1)):
-        places = np.array([_CORNERS[axes][corner] for corner in corners])
-        (axis,) = np.flatnonzero(np.ptp(places, axis=0) == 0)
-        step = 2 * int(places[0, axis]) - 1
-        beyond = tuple(at + step * (along == axis) for along, at in enumerate(first))
-        painted = all(case.surface[tuple(place)] for place in places + first)
-        if beyond not in elements and painted:
-            amount = np.mean([presses[tuple(place)] for place in places + first])
-            lines.append(f"{named[first]}, P{face}, {amount:.12g}")
-    lines += ["*NODE PRINT, NSET=ALL", "U", "*END STEP", ""]
-    return "\n".join(lines)
 
 
 def _closed_forms(page: Section, settings: Settings) -> None:

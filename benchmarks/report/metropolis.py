@@ -11,13 +11,13 @@ from typing import Any
 import numba
 import numpy as np
 import numpy.typing as npt
-from readings import solve_exactly
 
 from napari_hmrf import ICM, ElasticPrior, Multigrid, Problem, SeilerPrior, Solution, solve
 from napari_hmrf.data import phantom
-from report.assembly import assemble, solve_directly
 from report.page import Section, Settings, Target
 from report.pictures import COLOURS, new_figure, save
+from validation.oracles.elasticity import assemble, direct_solution
+from validation.oracles.paper import residual_matrix, solve_exactly
 
 Float64Array = npt.NDArray[np.float64]
 SIZE = 32
@@ -131,47 +131,20 @@ def paper_curves(problem: Problem, lengths: Sequence[int], counts: Sequence[int]
 
 def _quadratic(problem: Problem):
     """Return the matrix, load and free components of eq. 7, which is quadratic."""
-    import scipy.sparse as sp
-
     free = (problem.confidence == 0) & problem.tissue[..., None]
     fixed = np.where((problem.confidence > 0) & problem.tissue[..., None], problem.observed, 0.0)
-    residuals = _residual_matrix(problem)
+    residuals = residual_matrix(problem)
     matrix = 2 * (residuals.T @ residuals).tocsr()
     at = free.ravel()
     load = -(matrix[at][:, ~at] @ fixed.ravel()[~at])
-    return sp.csr_matrix(matrix[at][:, at]), np.asarray(load), free
-
-
-def _residual_matrix(problem: Problem):
-    """Return all terms of all cliques as matrix rows over the components of all sites."""
-    import scipy.sparse as sp
-
-    from napari_hmrf.solver.priors import line_steps
-
-    height, width = problem.shape
-    m = problem.stiffness.astype(np.float64)
-    rows, columns, values, number = [], [], [], 0
-    for i, j in np.argwhere(m > 0):
-        for line, (di, dj) in enumerate(line_steps(2)):
-            s, t, u = (i - di, j - dj), (i, j), (i + di, j + dj)
-            inside = all(0 <= a < height and 0 <= b < width for a, b in (s, u))
-            if not inside or m[s] == 0 or m[u] == 0:
-                continue
-            to_u, to_s = m[t] / m[u], m[t] / m[s]
-            for k in ((0,), (1,), (0, 1), (0, 1))[line]:
-                for weights in ((-to_u, 1 + to_u, -1.0), (-1.0, 1 + to_s, -to_s)):
-                    rows += [number] * 3
-                    columns += [2 * (a * width + b) + k for a, b in (s, t, u)]
-                    values += weights
-                    number += 1
-    return sp.csr_matrix((values, (rows, columns)), shape=(number, 2 * m.size))
+    return matrix[at][:, at], np.asarray(load), free
 
 
 def elastic_curves(problem: Problem, lengths: Sequence[int]) -> list[Curve]:
     """Return the curves of the elastic energy, by annealing and by Multigrid."""
     prior = ElasticPrior()
     system = assemble(problem, prior)
-    least = solve_directly(problem, prior)
+    least = direct_solution(problem, prior)
     minimum = prior.energy(problem, least)
 
     def run(tolerance: float) -> Callable[[], Solution]:

@@ -8,13 +8,14 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from fem import plane_stress_displacement, rmsd
 from run import PHANTOMS
 
 from napari_hmrf import ElasticPrior, Multigrid, solve, warp
 from napari_hmrf.data import phantom
+from napari_hmrf.fields import rmsd
 from report.page import Section, Settings
 from report.pictures import draw_differences, draw_grid, new_figure, save
+from validation.oracles.elasticity import direct_solution
 
 HOW = '`pip install -e ".[report]"`'
 
@@ -76,7 +77,7 @@ def section(settings: Settings) -> Section:
     for name in PHANTOMS:
         example = phantom(name, size)
         problem = example.problem
-        truth = plane_stress_displacement(problem)
+        truth = direct_solution(problem, ElasticPrior(0.3))
         moved = warp(example.image, truth, spacing=1, tissue=problem.tissue)
         found = {}
         for spline in settings.choose((20,), (12,)):

@@ -20,8 +20,9 @@ from napari_hmrf import (
     build_problem,
     solve,
 )
-from report import calculix, load_cases
+from report import load_cases
 from report.page import Section, Settings, Target
+from validation.oracles import calculix
 
 Float64Array = npt.NDArray[np.float64]
 POISSON = 0.3
@@ -115,15 +116,15 @@ def to_calculix(size: int, axes: int, plane: str, nu: float, contents: str) -> t
     presses = pressure + relative * heaviness * np.maximum(
         depth - bottom + level * (bottom - top), 0
     )
-    theirs = load_cases.by_calculix(
-        case._replace(
-            stiffness=np.where(hole, 0.0, whole),
-            strain=np.zeros(shape),
-            surface=near,
-            amount=presses,
-        ),
+    theirs = calculix.loaded_field(
+        np.where(hole, 0.0, whole),
+        spacing,
         nu,
-        plane == "stress",
+        stress=plane == "stress",
+        strain=np.zeros(shape),
+        pull=case.pull,
+        surface=near,
+        pressure=presses,
     )
     off = float(np.abs(found.displacement - theirs)[problem.tissue].max())
     return off / problem.unit, float(np.abs(theirs).max()) / problem.unit

@@ -25,11 +25,10 @@ from napari_hmrf import (
     solve,
 )
 from napari_hmrf.data import phantom
-from report.assembly import assemble, factorise
 from report.contenders import rigid_body_modes
 from report.memory import one_heap, peak_megabytes, trim_memory
-from report.reference import exact_field, refined
 from report.tissues import TISSUES, Images
+from validation.oracles.elasticity import assemble, exact_field, factorise, refined
 
 Field = npt.NDArray[Any]
 #: Required true error of a solver, in pixels.

@@ -13,11 +13,12 @@ import numpy.typing as npt
 from napari_hmrf import Multigrid, Problem, solve
 from napari_hmrf.data import phantom
 from report import contenders
-from report.assembly import assemble, solve_directly
 from report.bounds import add_bounds
 from report.contenders import PHANTOM, PRIOR, SOLVERS, WITHIN, Measured
 from report.page import Section, Settings, Target, duration
 from report.warm import add_warm_start
+from validation.oracles.elasticity import assemble
+from validation.oracles.elasticity import direct_solution as solve_directly
 
 #: Largest size for a solver, from its time or memory at smaller sizes.
 LARGEST = {"superlu": 600, "superlu-tuned": 600, "calculix": 300}

@@ -7,8 +7,7 @@ import scipy
 from napari_hmrf import ElasticPrior, Problem, ProblemError
 from napari_hmrf.landmarks import Landmarks, StrainScale
 from napari_hmrf.posterior import check_agreement
-from tests.support.data_oracle import interpolation
-from tests.support.posterior_oracle import data_covariance
+from validation.oracles.posterior import data_covariance, interpolation
 
 SCALE = StrainScale(0.2)
 SHAPE = (9, 8)

@@ -1,7 +1,5 @@
 """Tests of samples of the paper's model in its blanket reading."""
 
-from itertools import product
-
 import numpy as np
 import pytest
 
@@ -9,7 +7,7 @@ from napari_hmrf import Problem, ProblemError, SeilerPrior
 from napari_hmrf.landmarks import Landmarks, StrainScale
 from napari_hmrf.posterior import sample_posterior, uncertainty
 from napari_hmrf.posterior.blanket import CliqueNoise
-from tests.support.paper_oracle import cliques, potential
+from validation.oracles.paper import residual_matrix
 
 BLANKET = SeilerPrior(conditional="blanket")
 COUNT = 50
@@ -25,27 +23,9 @@ def held_block(shape=(8, 7), spacing=(1.0, 1.0), moved=0.0):
     return Problem(observed=y, confidence=c, stiffness=m, spacing=spacing)
 
 
-def matrix(problem):
-    """Return the matrix of second derivatives of the energy of the paper, without observations."""
-    size = problem.observed.size
-    places = np.arange(size).reshape(problem.observed.shape)
-    found = np.zeros((size, size))
-    for *sites, components in cliques(problem.stiffness):
-        for component in components:
-
-            def energy(*moved, sites=sites, component=component):
-                """Return the potential of the clique if some of its sites move by a pixel."""
-                d = {site: np.full(2, float(moved.count(site))) for site in sites}
-                return potential(problem.stiffness, d, *sites, component)
-
-            for one, other in product(sites, sites):
-                pair = energy(one, other) - energy(one) - energy(other)
-                found[places[one][component], places[other][component]] += pair
-    return found
-
-
 PROBLEM = held_block(moved=(0.5, 1.0))
-MATRIX = matrix(PROBLEM)
+#: Second derivatives of the energy of the paper, without observations.
+MATRIX = 2 * (residual_matrix(PROBLEM).T @ residual_matrix(PROBLEM)).toarray()
 FREE = (MATRIX.diagonal() > 0) & ~PROBLEM.known.ravel()
 
 

@@ -8,8 +8,7 @@ from napari_hmrf.landmarks import Landmarks, StrainScale
 from napari_hmrf.posterior import check_agreement
 from napari_hmrf.posterior.data_space import data_space
 from napari_hmrf.posterior.sampling import checked_prior, energy_of
-from tests.support.data_oracle import interpolation
-from tests.support.posterior_oracle import data_covariance
+from validation.oracles.posterior import data_covariance, interpolation
 
 SCALE = StrainScale(0.1)
 

@@ -14,8 +14,8 @@ from napari_hmrf.posterior import sample_posterior
 from napari_hmrf.posterior.noise import PosteriorNoise
 from napari_hmrf.posterior.response import Response
 from napari_hmrf.posterior.sampling import Sampler, checked_prior
-from tests.support.data_oracle import elastic_matrix
-from tests.support.posterior_oracle import posterior_covariance
+from validation.oracles.elasticity import stiffness_matrix
+from validation.oracles.posterior import posterior_covariance
 
 SCALE = StrainScale(0.1)
 COUNT = 50
@@ -113,7 +113,7 @@ def test_the_noise_of_an_element_has_the_covariance_of_its_matrix():
         stiffness=np.full((2, 2, 2), 2.0),
         spacing=spacing,
     )
-    expected = 3.0 * elastic_matrix(one, prior).toarray()
+    expected = 3.0 * stiffness_matrix(one, prior).toarray()
     error = np.cov(forces.T) - expected
     assert np.abs(error).max() < 0.1 * np.abs(expected).max()
     # Rigid motions do no work: noise at each point of integration would twist the element.

@@ -10,8 +10,7 @@ from napari_hmrf import Cancelled, ElasticPrior, Problem, ProblemError, solve
 from napari_hmrf.errors import ArgumentError
 from napari_hmrf.landmarks import Landmarks, StrainScale
 from napari_hmrf.posterior import check_agreement, fit_scale
-from tests.support.data_oracle import interpolation
-from tests.support.posterior_oracle import data_covariance
+from validation.oracles.posterior import data_covariance, interpolation
 
 SCALE = StrainScale(0.1)
 

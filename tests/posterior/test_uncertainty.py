@@ -24,7 +24,7 @@ from napari_hmrf.loads import growth
 from napari_hmrf.posterior import study_uncertainty, uncertainty
 from napari_hmrf.posterior.forced import typical_size
 from napari_hmrf.registration import MeasuredMotion
-from tests.support.posterior_oracle import posterior_covariance
+from validation.oracles.posterior import posterior_covariance
 
 SCALE = StrainScale(0.1)
 

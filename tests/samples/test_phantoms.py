@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from fem import rmsd
 
 from napari_hmrf import ArgumentError, ElasticPrior, solve
 from napari_hmrf.data import PHANTOM_NAMES, phantom, reference_displacement, sample
+from napari_hmrf.fields import rmsd
 from napari_hmrf.study.models import parts_of
 from napari_hmrf.tissue.boundary_rules import boundary_images, stiffness_image
 

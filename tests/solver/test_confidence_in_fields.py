@@ -11,8 +11,8 @@ from napari_hmrf.data import phantom
 from napari_hmrf.solver.neighbours import around_sites, in_elements
 from napari_hmrf.solver.unconnected import scraps
 from tests.support.cancel_flags import During
-from tests.support.elastic_oracle import direct_solution
 from tests.support.opengl import require_opengl
+from validation.oracles.elasticity import direct_solution
 
 PRIOR = ElasticPrior(0.3)
 

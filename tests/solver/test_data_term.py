@@ -17,7 +17,7 @@ from napari_hmrf import (
 from napari_hmrf.landmarks import Landmarks, StrainScale
 from napari_hmrf.loads import Loads
 from napari_hmrf.solver.data_term import combined_data
-from tests.support.data_oracle import posterior_mean
+from validation.oracles.posterior import posterior_mean
 
 GRIDS = [
     ((20, 26), (1, 1)),

@@ -1,12 +1,10 @@
 """Elastic volumes, compared with independently assembled matrices."""
 
 import math
-import shutil
 
 import numpy as np
 import psutil
 import pytest
-from volume_oracle import assembled, calculix_solution, direct_solution
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, SeilerPrior, Solution, solve
 from napari_hmrf.errors import Cancelled, ConvergenceError, ProblemError
@@ -21,6 +19,8 @@ from napari_hmrf.solver.priors.elements import Lame
 from napari_hmrf.solver.priors.hexahedra import brick_shape
 from napari_hmrf.solver.volume_memory import ORDINARY
 from tests.support.cancel_flags import During
+from validation.oracles import calculix
+from validation.oracles.elasticity import direct_solution, grid_matrix
 
 OBLONG = (1.0, 1.7, 0.6)
 PRECISE = Multigrid(1e-3)
@@ -45,7 +45,7 @@ def random_stiffness(ratio, shape=(11, 10, 10), seed=0):
 
 def error_in_voxels(found, problem, poisson):
     """Return the largest distance from the direct solution, in voxels."""
-    expected = direct_solution(problem, poisson)
+    expected = direct_solution(problem, ElasticPrior(poisson))
     return float(np.abs(found.displacement - expected).max()) / problem.unit
 
 
@@ -57,7 +57,7 @@ def test_element_forces_match_an_assembled_matrix(spacing):
     first, shear = random(2, 3, 4, 2)
     d = random(4, 5, 3, 3, seed=1)
     shape = brick_shape(spacing)
-    expected = (assembled(spacing, first, shear) @ d.ravel()).reshape(d.shape)
+    expected = (grid_matrix(spacing, first, shear, full=False) @ d.ravel()).reshape(d.shape)
     found = shape.forces(Lame(first, shear), d)
     np.testing.assert_allclose(found * math.prod(spacing) ** (1 / 3), expected, atol=1e-12)
     assert shape.energy(Lame(first, shear), d) == pytest.approx((d * found).sum() / 2)
@@ -217,13 +217,14 @@ def test_the_number_of_threads_does_not_change_the_residual():
 # The field
 
 
-@pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX is not installed")
+@pytest.mark.skipif(not calculix.is_there(), reason="CalculiX is not installed")
 @pytest.mark.parametrize("poisson", [0.3, 0.45])
-def test_the_reference_solution_matches_calculix_except_for_locking(poisson, tmp_path):
+def test_the_reference_solution_matches_calculix_except_for_locking(poisson):
     problem = compressed_volume(random_stiffness(100, (6, 5, 4)), OBLONG)
-    locking = direct_solution(problem, poisson, locking=True)
-    np.testing.assert_allclose(locking, calculix_solution(problem, poisson, tmp_path), atol=1e-5)
-    assert np.abs(locking - direct_solution(problem, poisson)).max() > 1e-3
+    prior = ElasticPrior(poisson)
+    locking = direct_solution(problem, prior, locking=True)
+    np.testing.assert_allclose(locking, calculix.solve(problem, "C3D8", poisson), atol=1e-5)
+    assert np.abs(locking - direct_solution(problem, prior)).max() > 1e-3
 
 
 @pytest.mark.parametrize(
@@ -460,8 +461,8 @@ def test_slipping_observations_pull_with_the_penalty_and_exact_ones_with_less(sh
     assert slips.any()
     # The energy is convex, so a field in equilibrium is its minimum.
     limit = penalty * problem.confidence
-    load = m.max() * np.where(slips, limit * np.sign(away), 0)
-    exact = direct_solution(problem, 0.4, load=load, held=held)
+    force = prior.force_unit(problem) * np.where(slips, limit * np.sign(away), 0)
+    exact = direct_solution(problem, prior, force=force, held=held)
     assert np.abs(found.displacement - exact).max() / problem.unit <= found.convergence.error
     forces = prior.forces(problem, exact)
     assert (np.abs(forces)[held] <= limit[held] * 1.001).all()

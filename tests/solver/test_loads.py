@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import scipy.sparse.linalg as spl
-from report import calculix, load_cases, resection
+from report import load_cases, resection
 
 from napari_hmrf import (
     ArgumentError,
@@ -21,8 +20,9 @@ from napari_hmrf import (
     solve,
 )
 from napari_hmrf.loads import Loads, growth, pressure, reactions, traction, weight
-from tests.support.elastic_oracle import stiffness_matrix
 from tests.support.opengl import require_opengl
+from validation.oracles import calculix
+from validation.oracles.elasticity import direct_solution
 
 EXACT = Multigrid(1e-6)
 OBLONG = {2: (0.5, 0.8), 3: (0.5, 0.8, 1.3)}
@@ -266,16 +266,6 @@ def test_reactions_balance_all_loads_within_their_force_limit(axes, penalty):
     assert energy == pytest.approx(prior.energy(problem, solution.displacement) + lost, rel=1e-4)
 
 
-def exact_field(problem, prior):
-    """Return the field in equilibrium from a direct solve in double precision."""
-    matrix = stiffness_matrix(problem, prior)
-    field = np.where(problem.known, problem.observed, 0).astype(float)
-    free = ~problem.known.ravel() & (matrix.diagonal() > 0)
-    rest = prior.forces(problem, field).ravel()[free]
-    field.ravel()[free] -= problem.unit * spl.spsolve(matrix[free][:, free].tocsc(), rest)
-    return field
-
-
 def large_problem():
     """Return soft and stiff tissue that is large enough to need cycles."""
     rng = np.random.default_rng(3)
@@ -288,7 +278,7 @@ def large_problem():
 def test_the_reported_error_is_a_bound_with_loads(tolerance):
     problem, prior = large_problem(), ElasticPrior(0.4)
     solution = found(problem, prior, Multigrid(tolerance))
-    off = np.abs(solution.displacement - exact_field(problem, prior)).max()
+    off = np.abs(solution.displacement - direct_solution(problem, prior)).max()
     assert off <= solution.convergence.error <= tolerance
     assert solution.iterations > 2
 
@@ -296,7 +286,7 @@ def test_the_reported_error_is_a_bound_with_loads(tolerance):
 def test_random_tissue_with_loads_matches_a_direct_solve():
     problem, prior = random_problem(2)
     moved = found(problem, prior).displacement
-    np.testing.assert_allclose(moved, exact_field(problem, prior), atol=1e-5)
+    np.testing.assert_allclose(moved, direct_solution(problem, prior), atol=1e-5)
 
 
 def test_equal_loads_need_no_cycle_and_similar_loads_start_warm():
@@ -323,7 +313,7 @@ def test_interpolated_loads_need_no_cycle():
     known = [found(at(*shares), prior, Multigrid()) for shares in ((1, 1), (0.5, 1), (1, 0.6))]
     between = found(at(0.8, 0.9), prior, Multigrid(), initial=known)
     assert between.iterations == 0
-    exact = exact_field(at(0.8, 0.9), prior)
+    exact = direct_solution(at(0.8, 0.9), prior)
     assert np.abs(between.displacement - exact).max() <= between.convergence.error <= 1e-3
     of_other_kind = fixed_problem(
         problem.stiffness, 0, growth(0.1 * grows, along=(1, 0)), (1.0, 1.0)
@@ -342,7 +332,7 @@ def test_a_drag_under_weight_needs_no_cycle_once_its_direction_is_known():
         last = found(problem, ElasticPrior(), Multigrid(), initial=earlier or None)
         earlier = [last, *earlier]
     assert last.iterations == 0
-    exact = exact_field(problem, ElasticPrior())
+    exact = direct_solution(problem, ElasticPrior())
     assert np.abs(last.displacement - exact).max() < 5e-3
 
 
@@ -477,7 +467,7 @@ def test_shaders_solve_images_with_loads():
     problem, prior = large_problem(), ElasticPrior(0.4)
     shaded = solve(problem, prior, optimizer=Multigrid(1e-3), backend="opengl")
     assert shaded.convergence.error <= 1e-3
-    assert np.abs(shaded.displacement - exact_field(problem, prior)).max() <= 1e-3
+    assert np.abs(shaded.displacement - direct_solution(problem, prior)).max() <= 1e-3
 
 
 def test_loads_are_rejected_where_they_are_not_supported():

@@ -2,13 +2,11 @@
 
 import numpy as np
 import pytest
-import scipy.sparse as sp
-import scipy.sparse.linalg as spl
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, ProblemError, SeilerPrior, solve
 from napari_hmrf.solver.backends.rigid.bodies import rigid_sites
-from tests.support.elastic_oracle import stiffness_matrix
 from tests.support.opengl import require_opengl
+from validation.oracles.elasticity import direct_solution
 
 N = 49
 PRIOR = ElasticPrior(0.3)
@@ -35,24 +33,6 @@ def tissue_with_bone(rigid, stiffness=np.inf, spacing=(1.0, 1.0)):
     return Problem(observed=y, confidence=c, stiffness=m, spacing=spacing)
 
 
-def reference_solution(problem, sites):
-    """Return the field of least energy with one rigid body of three degrees of freedom."""
-    matrix = stiffness_matrix(problem, PRIOR)
-    i, j = np.nonzero(sites)
-    rows, cols = problem.spacing
-    at = 2 * (i * N + j)
-    motions = np.zeros((2 * N * N, 3))
-    motions[at, 0] = motions[at + 1, 1] = 1
-    motions[at, 2], motions[at + 1, 2] = -cols * (j - j.mean()), rows * (i - i.mean())
-    body = np.repeat(sites.ravel(), 2)
-    free = ~problem.known.ravel() & ~body
-    alone = sp.eye(2 * N * N, format="csc")[:, np.flatnonzero(free)]
-    ways = sp.hstack([alone, sp.csc_matrix(motions)]).tocsc()
-    given = np.where(problem.known, problem.observed, 0).astype(float).ravel()
-    found = spl.spsolve((ways.T @ matrix @ ways).tocsc(), -(ways.T @ (matrix @ given)))
-    return (given + ways @ found).reshape(N, N, 2)
-
-
 def element_strains(displacement, sites):
     """Return the strains of the elements of a body, from differences."""
     d = displacement.astype(float)
@@ -74,7 +54,7 @@ def element_strains(displacement, sites):
 def test_a_bone_moves_rigidly_in_elastic_tissue(bone, spacing):
     problem = tissue_with_bone(bone, spacing=spacing)
     solution = solve(problem, PRIOR, optimizer=Multigrid(), backend="cpu")
-    exact = reference_solution(problem, rigid_sites(problem.stiffness))
+    exact = direct_solution(problem, PRIOR)
     assert np.abs(solution.displacement - exact).max() < 0.005
     if spacing == (1.0, 1.0):
         assert (
@@ -97,12 +77,7 @@ def test_shaders_move_a_bone_rigidly():
     require_opengl()
     problem = tissue_with_bone(disc())
     solution = solve(problem, PRIOR, optimizer=Multigrid(), backend="opengl")
-    assert (
-        np.abs(
-            solution.displacement - reference_solution(problem, rigid_sites(problem.stiffness))
-        ).max()
-        < 0.005
-    )
+    assert np.abs(solution.displacement - direct_solution(problem, PRIOR)).max() < 0.005
 
 
 def test_touching_bones_form_one_body_and_separate_bones_do_not():

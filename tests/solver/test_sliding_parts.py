@@ -11,7 +11,7 @@ from napari_hmrf.loads import Loads, weight
 from napari_hmrf.solver.coupling import Coupling
 from napari_hmrf.solver.unfolded import unfolded
 from napari_hmrf.tissue import SlidingParts
-from tests.support.sliding_oracle import least_energy
+from validation.oracles.posterior import sliding_field
 
 SLIP = 4.0
 
@@ -153,7 +153,7 @@ def test_sliding_parts_give_the_field_of_least_energy(grid, spacing, count):
     )
     prior = ElasticPrior(rng.uniform(0.2, 0.45, grid))
     solution = solve(problem, prior, backend="cpu")
-    error = abs(solution.displacement - least_energy(problem, prior)).max() / problem.unit
+    error = abs(solution.displacement - sliding_field(problem, prior)).max() / problem.unit
     assert error <= 1e-3
     assert solution.convergence.error <= 1e-3
     again = solve(problem, prior, backend="cpu", initial=solution)

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from literal import solve_literally
 
 from napari_hmrf import ICM, Problem, SeilerPrior, solve
 from napari_hmrf.solver.connected import connected
 from napari_hmrf.solver.quadtree import levels
-from tests.support.paper_oracle import centred_fixed_point, local_energy
 from tests.support.problems import frame_problem
+from validation.oracles.literal import solve_literally
+from validation.oracles.paper import local_energy, solve_exactly
 
 CONVERGED = ICM(iterations=20000, steps=None, energy_change=1e-9)
 
@@ -94,7 +94,7 @@ def test_the_converged_field_is_the_fixed_point(seed):
     solution = solve(
         problem, SeilerPrior(), optimizer=ICM(iterations=20000, steps=None), backend="cpu"
     )
-    off = np.abs(solution.displacement - centred_fixed_point(problem))
+    off = np.abs(solution.displacement - solve_exactly(problem, "centred"))
     assert off.max() < 0.01
 
 
@@ -112,7 +112,7 @@ def test_the_converged_field_is_exact_beside_void():
     )
     assert (solution.displacement[~problem.tissue] == 0).all()
     inside = problem.tissue
-    off = np.abs(solution.displacement - centred_fixed_point(problem))[inside]
+    off = np.abs(solution.displacement - solve_exactly(problem, "centred"))[inside]
     assert off.max() < 0.01
 
 

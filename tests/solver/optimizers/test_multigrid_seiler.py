@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from readings import solve_exactly
 
 from napari_hmrf import (
     ICM,
@@ -19,6 +18,7 @@ from napari_hmrf.data import phantom
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.cpu.seiler_model import CpuSeilerModel
 from tests.support.cancel_flags import During
+from validation.oracles.paper import solve_exactly
 
 CONDITIONALS = ["centred", "blanket"]
 

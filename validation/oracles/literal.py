@@ -70,7 +70,8 @@ def _sweep(m, y, p, d, target, gamma):
 
 
 @_compiled
-def _prolong(coarse, coarse_m, m, d):
+def prolong(coarse, coarse_m, m, d):
+    """Set `d` to the means of the coarse sites around each site of tissue, by their distance."""
     for i in range(m.shape[0]):
         for j in range(m.shape[1]):
             if m[i, j] == 0:
@@ -116,7 +117,7 @@ def solve_literally(
         m, y, p = (np.ascontiguousarray(image[at]) for image in (finest_m, finest_y, finest_p))
         d = np.zeros((*level.shape, 2), dtype=np.float32)
         if coarse is not None:
-            _prolong(coarse, coarse_m, m, d)
+            prolong(coarse, coarse_m, m, d)
         target = np.zeros_like(d)
         for _ in range(optimizer.iterations):
             _sweep(m, y, p, d, target, gamma)

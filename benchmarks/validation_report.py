@@ -1,6 +1,6 @@
 """Validation report: a Markdown page with pictures, all produced by one run of this script.
 
-    python benchmarks/validation.py [--out FOLDER] [--quick] [--only speed levels ...] [--note TEXT]
+    python benchmarks/validation_report.py [--out FOLDER] [--quick] [--only speed levels ...]
 
 The run takes about ten minutes on two idle cores. Comparisons with programs that are not installed
 are omitted, and the page says so (PyAMG and SimpleITK come with ``pip install -e ".[report]"``,

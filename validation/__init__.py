@@ -1,0 +1,1 @@
+"""Validation of the package: reference solutions, shared by the tests and by the benchmarks."""

@@ -1,0 +1,159 @@
+"""Tissue with terms of data: posterior means and covariances by sparse and dense algebra.
+
+The energy of linear elastic tissue, and the terms of a precision, of landmarks with a drift, and of
+parts that slide, are quadratic. Their matrices are summed, and the sum is solved directly.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+import scipy.sparse.linalg as spl
+
+from napari_hmrf.solver.unfolded import unfolded
+from validation.oracles.elasticity import load_vector, stiffness_matrix
+from validation.oracles.followed import followed
+
+
+def interpolation(points, grid) -> sp.csr_array:
+    """Return the matrix that interpolates a displacement at points, in pixels."""
+    axes = len(grid)
+    rows, cols, values = [], [], []
+    for number, point in enumerate(points):
+        first = np.minimum(np.floor(point).astype(int), np.array(grid) - 2)
+        within = point - first
+        for corner in np.ndindex(*(2,) * axes):
+            site = np.ravel_multi_index(tuple(first + corner), grid)
+            share = np.prod(np.where(corner, within, 1 - within))
+            for axis in range(axes):
+                rows.append(number * axes + axis)
+                cols.append(site * axes + axis)
+                values.append(share)
+    return sp.coo_array((values, (rows, cols)), (len(points) * axes, np.prod(grid) * axes)).tocsr()
+
+
+def with_data(problem, matrix, load) -> tuple[sp.csr_array, np.ndarray]:
+    """Add the precision and the landmarks of a problem to a matrix and a load."""
+    if problem.precision is not None:
+        axes = len(problem.shape)
+        data = sp.block_diag(list(problem.precision.reshape(-1, axes, axes)), format="csr")
+        matrix, load = matrix + data, load + data @ problem.observed.astype(float).ravel()
+    if problem.landmarks is not None:
+        marks = problem.landmarks
+        weights = marks.scale.energy(problem.stiffness, problem.spacing) / marks.sd.ravel() ** 2
+        moves = ((marks.targets - marks.points) * problem.spacing).ravel()
+        at = interpolation(marks.points, problem.shape)
+        matrix = matrix + at.T @ sp.diags_array(weights) @ at
+        load = load + at.T @ (weights * moves)
+    return matrix.tocsr(), load
+
+
+def _least_energy(problem, matrix, load, moves) -> np.ndarray:
+    """Return the field of least energy of a matrix and a load; prescribed where c = 1.
+
+    `moves` is the mask of components with an elastic energy.
+    """
+    held = problem.confidence.ravel() == 1
+    field, free = np.where(held, problem.observed.astype(float).ravel(), 0.0), ~held & moves
+    field[free] = spl.spsolve(matrix[free][:, free].tocsc(), (load - matrix @ field)[free])
+    return field.reshape(problem.observed.shape)
+
+
+@followed(lambda prior: prior)
+def posterior_mean(problem, prior) -> np.ndarray:
+    """Return the field of least energy, in the unit of the problem; prescribed where c = 1."""
+    elastic = stiffness_matrix(problem, prior)
+    matrix, load = with_data(problem, elastic, load_vector(problem, prior))
+    return _least_energy(problem, matrix, load, elastic.diagonal() > 0)
+
+
+def posterior_mean_with_drift(problem, prior) -> tuple[np.ndarray, np.ndarray]:
+    """Return the field of least energy and the drift, with the drift as further unknowns.
+
+    A drift is a uniform strain that costs no energy: the elastic energy is that of the displacement
+    minus an affine motion.
+    """
+    axes = len(problem.shape)
+    places = np.moveaxis(np.indices(problem.shape), 0, -1) * problem.spacing
+    units = []
+    for i in range(axes):
+        for j in range(i, axes):
+            unit = np.zeros((axes, axes))
+            unit[i, j] = unit[j, i] = 1
+            units.append(unit)
+    motions = np.stack([(places @ unit).ravel() for unit in units], axis=1)
+    grown, pulled = load_vector(problem, prior), np.zeros(motions.shape[0])
+    if problem.loads is not None and problem.loads.force is not None:
+        pulled = problem.loads.force.astype(float).ravel()
+    # A force does work on the whole displacement, but growth only on that without the drift.
+    elastic = stiffness_matrix(problem, prior)
+    matrix, load = with_data(problem, elastic, grown)
+    coupling = elastic @ motions
+    held = problem.confidence.ravel() == 1
+    free = ~held & (elastic.diagonal() > 0)
+    field = np.where(held, problem.observed.astype(float).ravel(), 0.0)
+    beside = sp.csr_array(-coupling[free])
+    whole = sp.block_array(
+        [
+            [matrix[free][:, free], beside],
+            [beside.T, sp.csr_array(motions.T @ coupling)],
+        ],
+        format="csc",
+    )
+    rest = [(load - matrix @ field)[free], coupling.T @ field - motions.T @ (grown - pulled)]
+    solved = spl.spsolve(whole, np.concatenate(rest))
+    field[free] = solved[: free.sum()]
+    strain = np.einsum("k,kij->ij", solved[free.sum() :], np.array(units))
+    return field.reshape(problem.observed.shape), strain
+
+
+def posterior_covariance(problem, prior, scale) -> tuple[np.ndarray, np.ndarray]:
+    """Return the covariance of the components that are free to move, and a mask of them."""
+    elastic = stiffness_matrix(problem, prior)
+    matrix, _ = with_data(problem, elastic, np.zeros(problem.observed.size))
+    matrix = matrix.toarray()
+    free = (matrix.diagonal() > 0) & ~problem.known.ravel()
+    energy = scale.energy(problem.stiffness, problem.spacing)
+    return energy * np.linalg.inv(matrix[np.ix_(free, free)]), free
+
+
+def data_covariance(problem, prior, scale, rows) -> tuple[np.ndarray, np.ndarray]:
+    """Return combinations of observations, and their covariance under the prior.
+
+    The combinations, in columns, are unaffected by the rigid motions of tissue that nothing holds.
+    `rows` is the matrix of the observations.
+    """
+    matrix = stiffness_matrix(problem, prior).toarray()
+    free = (matrix.diagonal() > 0) & ~problem.known.ravel()
+    sizes, ways = np.linalg.eigh(matrix[np.ix_(free, free)])
+    stores = sizes > 1e-9 * sizes[-1]
+    seen = rows[:, free] @ ways
+    combinations = np.eye(len(rows))
+    if not stores.all():
+        turned, amounts, _ = np.linalg.svd(seen[:, ~stores], full_matrices=True)
+        combinations = turned[:, int((amounts > 1e-9).sum()) :]
+    seen = combinations.T @ seen[:, stores]
+    energy = scale.energy(problem.stiffness, problem.spacing)
+    return combinations, energy * (seen / sizes[stores]) @ seen.T
+
+
+def sliding_field(problem, prior) -> np.ndarray:
+    """Return the field of least energy of a problem with sliding parts, in its unit of length."""
+    parts, of_parts = unfolded(problem, prior)
+    between, axes = parts.coupling, len(problem.shape)
+    pairs = np.arange(len(between.first))
+    rows = np.repeat(pairs, axes)
+    gaps = sum(
+        sp.coo_array(
+            (
+                (sign * between.normals).ravel(),
+                (rows, (axes * at[:, None] + np.arange(axes)).ravel()),
+            ),
+            shape=(len(pairs), parts.observed.size),
+        )
+        for sign, at in ((1, between.first), (-1, between.second))
+    ).tocsr()
+    elastic = stiffness_matrix(parts, of_parts)
+    matrix, load = with_data(parts, elastic, load_vector(parts, of_parts))
+    matrix = (matrix + gaps.T @ sp.diags_array(between.strength) @ gaps).tocsr()
+    return between.folded(_least_energy(parts, matrix, load, elastic.diagonal() > 0))
