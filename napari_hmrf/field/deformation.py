@@ -30,6 +30,7 @@ from napari_hmrf.solver.backends.compile_cache import loader, loops
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.followers import Followers, followers_of
 from napari_hmrf.solver.problem import as_numbers, grid_in_words
+from napari_hmrf.solver.real_arrays import check_finite
 
 FloatArray = npt.NDArray[np.float32]
 
@@ -89,7 +90,8 @@ def rmsd(
     Raises
     ------
     ProblemError
-        If an input has an invalid shape or is not numeric, or if there are no sites to compare.
+        If an input has an invalid shape, is not numeric or not finite, or if there are no sites to
+        compare.
     """
     found, known = as_field(displacement), as_field(reference)
     mask = np.ones(found.shape[:-1], bool)
@@ -105,6 +107,7 @@ def rmsd(
     if not mask.any():
         raise ProblemError("tissue", "has no sites to compare. Include at least one site.")
     difference = found[mask].astype(np.float64) - known[mask]
+    check_finite("displacement", difference)
     return float(np.sqrt((difference**2).sum(axis=-1).mean()))
 
 

@@ -124,7 +124,7 @@ def _is_yes(text: str) -> bool:
 
 
 _NAME = _Column(str, "a name")
-_LENGTH = _Column(_number(), "a number, a length in the image's unit")
+_LENGTH = _Column(_number(), "a number, a length in the image's unit (press, pull: a pressure)")
 _OF_MATERIALS = {
     "label": _label(0),
     "name": _NAME,

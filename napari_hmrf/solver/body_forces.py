@@ -22,7 +22,7 @@ from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.neighbours import around_sites, in_elements, of_corners, pairs
 from napari_hmrf.solver.problem import checked_spacing
-from napari_hmrf.solver.real_arrays import as_float32, check_finite
+from napari_hmrf.solver.real_arrays import as_float32, check_finite, first_index, how_many
 
 Float64Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -209,6 +209,8 @@ def cavity(
     tissue, size = _tissue(stiffness), _size(stiffness, spacing)
     hole = _sites_of("removed", removed, tissue)
     remaining = tissue & ~hole
+    if not hole.any():
+        raise ProblemError("removed", "has no removed tissue. Mark the pixels of the cavity.")
     if not (math.isfinite(real(pressure)) and 0 <= real(level) < math.inf):
         raise ProblemError(
             "cavity",
@@ -363,6 +365,7 @@ def _sites_of(name: str, mask: npt.ArrayLike, tissue: Mask) -> Mask:
             f"has shape {sites.shape}, but stiffness has shape {tissue.shape}. Use the same pixel "
             "grid for both.",
         )
+    check_finite(name, sites)
     return sites > 0
 
 
@@ -372,6 +375,13 @@ def _tissue(stiffness: npt.ArrayLike) -> Mask:
         raise ProblemError(
             "stiffness",
             f"has shape {m.shape}, but a 2-D image (H, W) or a volume (D, H, W) is needed.",
+        )
+    wrong = ~(m >= 0)
+    if wrong.any():
+        raise ProblemError(
+            "stiffness",
+            f"has {how_many(wrong)} that are negative or NaN, the first at {first_index(wrong)}. "
+            "Use positive numbers for tissue, and 0 for void.",
         )
     return m > 0
 

@@ -25,6 +25,8 @@ _ASYMMETRY = 1e-5
 # Relative difference up to which pixel sizes count as equal, because files often round them.
 _SAME_SPACING = 1e-4
 _AXES = 3
+#: Largest growth, as a strain; larger values were probably given in per cent.
+LARGEST_GROWTH = 10.0
 
 
 class Loads:
@@ -255,6 +257,13 @@ def _check_growth(strain: FloatArray | None) -> None:
             "growth",
             f"is {least:.3g} somewhere, but tissue cannot shrink by its whole length. Use strains "
             "above -1; -0.1 means a tenth shorter.",
+        )
+    most = float(stretch.max(initial=0))
+    if most > LARGEST_GROWTH:
+        raise ProblemError(
+            "growth",
+            f"is {most:.3g} somewhere. Use strains up to {LARGEST_GROWTH:g}: 0.2 means a fifth "
+            "longer, or 20 %.",
         )
 
 

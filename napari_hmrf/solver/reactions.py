@@ -46,6 +46,8 @@ def reactions(problem: Problem, solution: Solution) -> npt.NDArray[np.float64]:
     ArgumentError
         If an argument has the wrong type, the solution belongs to another problem, or its prior is
         not elastic.
+    ProblemError
+        If parts of the tissue slide along each other.
     """
     require_kind(Problem, "problem", problem, "Problem(observed, confidence, stiffness)")
     require_kind(Solution, "solution", solution, "the result of solve()")

@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from napari_hmrf.arguments import is_one_of, is_whole, real, reals, refuse_unless, shown
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.solver.loads import LARGEST_GROWTH
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.solver.problem import FloatArray, checked_spacing, whole_numbers
 from napari_hmrf.solver.sliding_parts import SlidingParts
@@ -39,8 +40,6 @@ _RIGID = "rigid"
 UNPAINTED = "everything unpainted"
 #: Stiffness of a new tissue if there is no deformable tissue to copy.
 _STIFFNESS = 20.0
-#: Largest growth, as a strain; larger values were probably given in per cent.
-_LARGEST_GROWTH = 10.0
 #: Largest value in single precision; a larger stiffness would become infinite, that is, rigid.
 LARGEST_STIFFNESS = float(np.finfo(np.float32).max)
 
@@ -235,8 +234,8 @@ def default_rule(label: int) -> BoundaryRule:
 
 
 def is_growth(strain: Any) -> bool:
-    """Return whether a growth strain is valid: above -1 and up to `_LARGEST_GROWTH`."""
-    return -1 < real(strain) <= _LARGEST_GROWTH
+    """Return whether a growth strain is valid: above -1 and up to `LARGEST_GROWTH`."""
+    return -1 < real(strain) <= LARGEST_GROWTH
 
 
 def read_stiffness(value: Any) -> Any:

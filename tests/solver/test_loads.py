@@ -19,7 +19,7 @@ from napari_hmrf import (
     Solution,
     solve,
 )
-from napari_hmrf.loads import Loads, growth, pressure, reactions, traction, weight
+from napari_hmrf.loads import Loads, cavity, growth, pressure, reactions, traction, weight
 from tests.support.opengl import require_opengl
 from validation.oracles import calculix
 from validation.oracles.elasticity import direct_solution
@@ -500,6 +500,10 @@ MASK = np.ones((6, 6), bool)
         ("not symmetric", lambda m: Loads(growth=np.arange(144).reshape(6, 6, 2, 2))),
         ("above -1", lambda m: growth(-np.ones((6, 6)))),
         ("NaN or infinite", lambda m: growth(np.full((6, 6), np.nan))),
+        ("0.2 means a fifth longer", lambda m: growth(np.full((6, 6), 20))),
+        ("surface: .*NaN", lambda m: pressure(m, np.where(MASK, np.nan, 0), 1.0, spacing=1)),
+        ("no removed tissue", lambda m: cavity(m, MASK & False, spacing=1, pressure=1.0)),
+        ("negative or NaN", lambda m: weight(-m, (1.0, 0), spacing=1)),
         ("has shape", lambda m: growth(np.ones((5, 6)))),
         ("rigid tissue", lambda m: growth(np.ones((6, 6)))),
         ("has shape", lambda m: Loads(force=np.ones((6, 6)))),
