@@ -81,7 +81,7 @@ def write_truth(
       convention of registration software (backward, from each deformed pixel to its origin, in mm,
       LPS);
     - ``landmarks.csv``, corresponding points in the image and in the deformed image, with the
-      columns of BigWarp;
+      columns of BigWarp: in mm, from the first pixel, along the axes of ``image.mha``;
     - ``truth.study``, a study that can be solved and opened in napari.
 
     Parameters
@@ -158,11 +158,10 @@ def _write_motion(within: Path, sample: RandomSample, solution: Solution, place:
     mm = solution.displacement * (np.array(place.spacing[-n:]) / solution.spacing)
     inexact = write_field(within / "field.mha", mm, **place._asdict(), tissue=sample.tissue)
     points = landmarks(sample.tissue)
-    ends = []
-    for each in (points, sample.points(points)):
-        # The place of a slice has an additional first axis, along which the index is 0.
-        ends.append(place.to_space(np.pad(each, ((0, 0), (len(place.spacing) - n, 0)))))
-    write_points(within / "landmarks.csv", *ends)
+    # The place of a slice has an additional first axis, along which the index is 0.
+    more = len(place.spacing) - n
+    ends = (np.pad(each, ((0, 0), (more, 0))) for each in (points, sample.points(points)))
+    write_points(within / "landmarks.csv", *(each * place.spacing for each in ends))
     return inexact
 
 

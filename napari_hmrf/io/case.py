@@ -16,6 +16,7 @@ import numpy.typing as npt
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.field.brightness import edge_confidence
 from napari_hmrf.field.frame import Frame
+from napari_hmrf.field.landmark_pairs import LandmarkPairs
 from napari_hmrf.field.warp import has_volume_loops
 from napari_hmrf.io.apply import place_for, read_field_file
 from napari_hmrf.io.case_options import Case, energy_of, notes_on_ratio, weight_of
@@ -472,6 +473,7 @@ def _landmarks(case: Case, path: Path, grid: Grid, whole: ImageFile) -> Drawing:
             f"has a standard deviation of {file.sd.max():.4g}. Use at most {most:g} in the unit of "
             "the image, the diagonal of the image.",
         )
-    radius = usual_radius(grid.shape, grid.spacing)
+    pairs = LandmarkPairs(np.arange(len(sources)), sources, ends[1][:, -n:], file.sd)
     # Pairs are in the unit of the image, which is also the unit of the grid.
-    return Drawing.from_landmarks(*(each[:, -n:] for each in ends), radius=radius, sd=file.sd)
+    radii = pairs.radii(usual_radius(grid.shape, grid.spacing), grid.spacing)
+    return Drawing.from_landmarks(pairs.at, pairs.to, radius=radii, sd=pairs.sd)

@@ -71,7 +71,7 @@ class Drawing:
         source: npt.ArrayLike,
         target: npt.ArrayLike,
         *,
-        radius: float,
+        radius: npt.ArrayLike,
         confidence: float = 1.0,
         shape: Sequence[int] | None = None,
         sd: npt.ArrayLike | None = None,
@@ -83,8 +83,9 @@ class Drawing:
         source, target : array_like, shape (N, 2) or (N, 3)
             Positions of tissue before and after the motion, (row, col) or (plane, row, col) in
             pixels; `Grid.to_pixels` converts positions in mm from landmark files.
-        radius : float
+        radius : float or array_like, shape (N,)
             Radius of the patch that moves with each landmark, in the unit of the pixel spacing.
+            Where patches overlap, the later landmark determines the motion.
         confidence : float
             Confidence in each pair, above 0 and up to 1 (certain).
         shape : sequence of int, optional
@@ -138,11 +139,12 @@ class Drawing:
                     f"first being number {first} at {tuple(sources[first].tolist())}. Pass pixel "
                     "positions, (row, col) or (plane, row, col), and remove the pairs outside.",
                 )
-        pairs = zip(sources.tolist(), targets.tolist(), spreads.tolist(), strict=True)
+        radii = np.broadcast_to(as_numbers("radius", radius), len(sources)).tolist()
+        pairs = zip(sources.tolist(), targets.tolist(), radii, spreads.tolist(), strict=True)
         return cls(
             tuple(
-                Landmark(tuple(at), tuple(to), radius, confidence, sd=spread)
-                for at, to, spread in pairs
+                Landmark(tuple(at), tuple(to), size, confidence, sd=spread)
+                for at, to, size, spread in pairs
             )
         )
 
