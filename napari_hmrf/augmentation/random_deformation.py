@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf import array_file
-from napari_hmrf.arguments import is_whole, real, reals, refuse_unless
+from napari_hmrf.arguments import is_whole, real, reals, refuse_unless, tuple_of
 from napari_hmrf.augmentation.deformation_file import DEFORMATION_FORMAT
 from napari_hmrf.augmentation.fold_limit import largest_scale
 from napari_hmrf.augmentation.unit_solutions import (
@@ -306,7 +306,9 @@ class RandomDeformation:
         backend: str = "auto",
         progress: Callable[[int, int], None] | None = None,
     ) -> None:
-        image, rows = whole_numbers("labels", labels).copy(), tuple(materials)
+        image = whole_numbers("labels", labels).copy()
+        given = tuple(materials) if isinstance(materials, Iterable) else materials
+        rows = tuple_of(Material, "materials", given, '(Material(1, "brain", 3.0),)')
         m = stiffness_image(image, rows)  # validates the labels and materials
         if sliding_parts(image, rows, m) is not None:
             raise ProblemError(

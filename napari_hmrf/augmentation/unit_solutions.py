@@ -190,7 +190,17 @@ def control_patches(
         If the tissue does not have room for a patch.
     """
     m = stiffness_image(labels, materials)
+    if min(m.shape) < 2:
+        raise ProblemError(
+            "labels",
+            f"have shape {m.shape}. Pass an image (H, W) or a volume (D, H, W), without axes for "
+            "batches or channels.",
+        )
     soft = (m > 0) & np.isfinite(m)
+    if not soft.any():
+        raise ProblemError(
+            "labels", "have no soft tissue. Give a label a stiffness above 0 that is not rigid."
+        )
     if hold_edge:
         soft &= ~outer_rim(m > 0)
     # The padding makes the edge of the image an edge of the tissue.

@@ -30,7 +30,7 @@ from napari_hmrf.io.sweeps import Change, changed, with_ratio
 from napari_hmrf.io.tables import read_rules
 from napari_hmrf.solver.drift import drift_clauses
 from napari_hmrf.solver.optimizers import Monitor
-from napari_hmrf.solver.problem import grid_in_words
+from napari_hmrf.solver.problem import grid_in_words, whole_numbers
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import Progress
 from napari_hmrf.solver.volume_memory import STUDY, WARP, make_room, require_memory
@@ -363,9 +363,8 @@ def as_labels(pixels: npt.NDArray[Any], path: Path) -> npt.NDArray[Any]:
         raise ProblemError(
             path.name, f"contains the label {largest:.0f}. Use labels below 2147483648."
         )
-    is_mask = pixels.dtype.kind == "b"
-    if is_mask or (pixels.dtype.kind == "f" and (pixels == np.rint(pixels)).all()):
-        pixels = pixels.astype(np.int32)
+    pixels = pixels.astype(np.int32) if pixels.dtype.kind == "b" else pixels
+    pixels = whole_numbers(path.name, pixels)
     if pixels.dtype.kind not in "iu":
         raise ProblemError(
             path.name, f"contains {pixels.dtype} values. Give labels, which are whole numbers."

@@ -344,13 +344,16 @@ def test_patches_are_distinct_regions_of_soft_tissue():
         ({"least_jacobian": 0}, "least_jacobian must be"),
         ({"smoothness": -1}, "smoothness must be"),
         ({"weight": -1}, "weight must be"),
-        ({"radius": 400}, "have no soft tissue"),
+        ({"radius": 400}, "have no soft tissue with room"),
+        ({"labels": labels()[None]}, "without axes for"),
+        ({"labels": labels() * 0}, "have no soft tissue. Give"),
+        ({"materials": MATERIALS[0]}, "materials must be"),
         ({"spacing": (1, 1, 1)}, "spacing"),
     ],
 )
 def test_invalid_arguments_are_rejected_before_any_solve(wrong, said):
     with pytest.raises((ArgumentError, ProblemError), match=said):
-        RandomDeformation(labels(), MATERIALS, **{"spacing": 1, **wrong})
+        RandomDeformation(**{"labels": labels(), "materials": MATERIALS, "spacing": 1, **wrong})
 
 
 def test_a_label_without_a_material_and_an_invalid_seed_are_rejected():
