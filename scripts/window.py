@@ -187,7 +187,7 @@ class Window:
             raise LookupError(words)
         self._click(native)
         view = native.view()
-        wait_until(view.isVisible, rest=0.5)  # a list that has just opened may ignore a click
+        wait_until(view.isVisible)  # a list that has just opened may ignore a click
         view.scrollTo(native.model().index(row, 0))
         # An entry may be wider than the list.
         place = view.visualRect(native.model().index(row, 0)).intersected(view.viewport().rect())
