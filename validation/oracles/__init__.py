@@ -8,6 +8,7 @@ module              reference
 `posterior`         data, landmarks, drift and sliding parts, by sparse and dense algebra
 `paper`             cliques, energies and fields of Seiler et al.
 `literal`           the paper's algorithm, one move at a time
+`exact`             fields of images in 32 digits, with observations that slip, for `make trust`
 `calculix`          decks and fields of CalculiX, another program
 ==================  ================================================================================
 
