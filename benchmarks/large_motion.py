@@ -19,7 +19,6 @@ from typing import Any
 
 import numba
 import numpy as np
-import scipy
 
 from benchmarks import random_large_motion
 from napari_hmrf import (
@@ -36,7 +35,8 @@ from napari_hmrf.data import phantom
 from napari_hmrf.loads import growth, weight
 from napari_hmrf.solver.backends.cpu import elastic_model, finite_model
 from napari_hmrf.solver.backends.thread import compute_thread
-from tests.support.finite_oracle import bar, solved, turned
+from validation.oracles.large_motion import large_field
+from validation.problems import bar, turned
 
 _LIVE = 0.01
 # Default number of random problems.
@@ -80,7 +80,7 @@ def exact(size: int = 48) -> None:
             for plane in ("stress", "strain"):
                 prior = NeoHookeanPrior(nu, plane=plane)  # type: ignore[arg-type]
                 found = solve(problem, prior, backend="cpu")
-                off = float(np.abs(found.displacement - solved(problem, prior, 6)).max())
+                off = float(np.abs(found.displacement - large_field(problem, prior, 6)).max())
                 worst = max(worst, off)
                 print(f"{name:16} nu {nu:4} plane {plane:6} error {off:.5f} px", flush=True)
     print(f"worst {worst:.5f} px", flush=True)
@@ -112,59 +112,13 @@ def textbook(size: int = 48, stretch: float = 0.3) -> None:
     """Print the distance to finite elements with 2 x 2 Gauss points and no barrier."""
     for nu in (0.3, 0.45):
         problem = bar(size, size, np.broadcast_to([0.0, stretch * (size - 1)], (size, 2)))
-        found = solve(problem, NeoHookeanPrior(nu), backend="cpu").displacement
-        off = np.abs(found - _gauss(problem, nu))[:, 4:-4].max()
+        prior = NeoHookeanPrior(nu)
+        found = solve(problem, prior, backend="cpu").displacement
+        off = np.abs(found - large_field(problem, prior, 10, textbook=True))[:, 4:-4].max()
         print(
             f"textbook, pull 30 %, nu {nu}: error {off:.4f} px, four pixels from the clamps",
             flush=True,
         )
-
-
-def _gauss(problem: Problem, nu: float) -> Any:
-    """Solve plane-stress neo-Hooke with 2 x 2 Gauss points by Newton's method."""
-    height, width = problem.shape
-    numbers = np.arange(2 * height * width).reshape(height, width, 2)
-    corners = numbers[:-1, :-1], numbers[:-1, 1:], numbers[1:, :-1], numbers[1:, 1:]
-    nodes = np.stack(corners, axis=2).reshape(-1, 8)
-    mu = 1 / (2 * (1 + nu))
-    lam = 2 * mu * nu / (1 - 2 * nu)
-    whole, g = mu + lam / 2, 0.5 / np.sqrt(3)
-    free, known = np.flatnonzero(~problem.known), np.flatnonzero(problem.known)
-    turn = np.zeros((4, 4))
-    turn[0, 3] = turn[3, 0] = 1
-    turn[1, 2] = turn[2, 1] = -1
-    gradients = []
-    for r, s in ((-g, -g), (-g, g), (g, -g), (g, g)):
-        along_rows = np.array([-(0.5 - s), -(0.5 + s), 0.5 - s, 0.5 + s])
-        along_cols = np.array([-(0.5 - r), 0.5 - r, -(0.5 + r), 0.5 + r])
-        gradients.append(np.kron(np.stack([along_rows, along_cols]), np.eye(2)))
-    d = np.zeros(problem.observed.size)
-    for part in range(1, 11):
-        for _ in range(30):
-            load, blocks = np.zeros_like(d), np.zeros((len(nodes), 8, 8))
-            for gradient in gradients:
-                f = d[nodes] @ gradient.T + np.array([1.0, 0, 0, 1.0])
-                cofactor = f @ turn
-                j = f[:, 0] * f[:, 3] - f[:, 1] * f[:, 2]
-                thick = mu + lam * j**2 / 2
-                slope = -whole * mu / (j * thick)
-                bend = whole * mu * (thick + lam * j**2) / (j * thick) ** 2
-                stress = mu * f + slope[:, None] * cofactor
-                np.add.at(load, nodes.ravel(), (stress @ gradient / 4).ravel())
-                tangent = mu * np.eye(4) + slope[:, None, None] * turn
-                tangent = tangent + bend[:, None, None] * cofactor[:, :, None] * cofactor[:, None]
-                blocks += gradient.T @ tangent @ gradient / 4
-            rows = np.repeat(nodes[..., None], 8, axis=-1)
-            at = rows.ravel(), rows.swapaxes(1, 2).ravel()
-            matrix = scipy.sparse.csc_matrix((blocks.ravel(), at), shape=(d.size, d.size))
-            way = np.zeros_like(d)
-            way[known] = problem.observed.ravel()[known] * part / 10 - d[known]
-            rest = -load - matrix @ way
-            way[free] = scipy.sparse.linalg.spsolve(matrix[free][:, free], rest[free])
-            d += way
-            if np.abs(way).max() < 1e-9:
-                break
-    return d.reshape(height, width, 2)
 
 
 def cold(size: int = 300) -> None:

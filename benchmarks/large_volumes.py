@@ -25,12 +25,8 @@ from benchmarks.large_motion import print_frames
 from benchmarks.report.memory import added_by
 from napari_hmrf import ElasticPrior, Multigrid, NeoHookeanPrior, Problem, solve
 from napari_hmrf.solver.solution import Solution
-from tests.support.finite_volume_oracle import (
-    framed_volume,
-    growing_ball,
-    smallest_jacobian,
-    solved,
-)
+from validation.oracles.large_motion import large_field, smallest_jacobian
+from validation.problems import framed_volume, growing_ball
 
 Field = npt.NDArray[np.float64]
 # Default number of random problems.
@@ -97,8 +93,9 @@ def exact(sizes: list[int]) -> None:
         y[-1] = end
         for poisson in (0.3, 0.45):
             problem = Problem(observed=y, confidence=c, stiffness=m)
-            found = solve(problem, NeoHookeanPrior(poisson), backend="cpu")
-            off = float(np.abs(found.displacement - solved(problem, poisson, 4)).max())
+            prior = NeoHookeanPrior(poisson)
+            found = solve(problem, prior, backend="cpu")
+            off = float(np.abs(found.displacement - large_field(problem, prior, 4)).max())
             worst = max(worst, off)
             print(f"{name:16} nu {poisson:4} error {off:.5f} voxel", flush=True)
     print(f"worst {worst:.5f} voxel", flush=True)
@@ -125,9 +122,9 @@ def _print_cost(name: str, problem: Problem) -> None:
     solve(problem, ElasticPrior(), backend="cpu")
     linear, small = _seconds(lambda: solve(_anew(problem), ElasticPrior(), backend="cpu"))
     large, found = _seconds(lambda: solve(_anew(problem), NeoHookeanPrior(), backend="cpu"))
-    folded = smallest_jacobian(small.displacement, 3) <= 0
+    folded = smallest_jacobian(problem, small.displacement, 3) <= 0
     points = 10 if found.displacement[..., 0].size <= _DENSE else 4
-    least = smallest_jacobian(found.displacement, points)
+    least = smallest_jacobian(problem, found.displacement, points)
     print(
         f"{name:40} linear {linear:6.2f} s ({'folds' if folded else 'does not fold'}), "
         f"large {large:7.2f} s = {large / linear:5.1f} linear solves, {found.iterations} steps, "

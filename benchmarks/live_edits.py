@@ -29,7 +29,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from exact import exact_field
 from random_problems import noise, random_problem
 from trust import why_refused
 
@@ -37,6 +36,7 @@ from napari_hmrf import ElasticPrior, LiveSolver, Multigrid, Problem, SeilerPrio
 from napari_hmrf.errors import ConvergenceError, HmrfError, ProblemError
 from napari_hmrf.loads import growth
 from napari_hmrf.solver.live_solver import TOLERANCE, Update
+from validation.oracles.exact import exact_field
 
 #: Tolerance of cold solves, in pixels.
 COLD = 1e-4

@@ -18,7 +18,8 @@ from napari_hmrf import HmrfError, NeoHookeanPrior, Problem, Solution, solve
 from napari_hmrf.fields import count_folds
 from napari_hmrf.loads import Loads, growth
 from napari_hmrf.solver.optimizers import Multigrid
-from tests.support.finite_oracle import least_corner, turned
+from validation.oracles.large_motion import smallest_jacobian
+from validation.problems import turned
 
 Field = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -43,7 +44,7 @@ def run(
     first: int,
     count: int,
     case_of: Callable[[int], Case] | None = None,
-    smallest_of: Callable[[Problem, npt.NDArray[np.floating]], float] = least_corner,
+    points: int = 2,
 ) -> None:
     """Solve random problems and print the numbers of faults, refusals and missed targets.
 
@@ -53,8 +54,8 @@ def run(
         Number of the first problem, and number of problems.
     case_of : callable, optional
         Returns the problem of a number; by default `make_case`.
-    smallest_of : callable
-        Returns the smallest Jacobian of a displacement.
+    points : int
+        Points along each axis of an element at which the Jacobian is computed.
     """
     counts: Counter[str] = Counter()
     slowest, begun = (0.0, first), time.perf_counter()
@@ -71,7 +72,7 @@ def run(
             continue
         finally:
             slowest = max(slowest, (time.perf_counter() - started, number))
-        least = smallest_of(case.problem, found.displacement)
+        least = smallest_jacobian(case.problem, found.displacement, points)
         faults = _faults(case, found, least)
         counts.update(faults)
         gap = _gap(case.problem, found.displacement).max()
@@ -274,6 +275,6 @@ def _smooth_map(random: np.random.Generator, shape: tuple[int, ...]) -> Field:
         waves += random.normal(size=2) * np.sin(k[0] * row + k[1] * col + phase)[..., None]
     strength = size / 4
     whole = Problem(observed=waves, confidence=np.ones_like(waves), stiffness=np.ones(shape))
-    while least_corner(whole, strength * waves) < _LEAST:
+    while smallest_jacobian(whole, strength * waves, 2) < _LEAST:
         strength *= 0.9
     return strength * waves

@@ -15,8 +15,7 @@ from benchmarks import random_large_motion
 from benchmarks.random_large_motion import Case
 from napari_hmrf import NeoHookeanPrior, Problem
 from napari_hmrf.loads import Loads
-from napari_hmrf.solver.neighbours import in_elements
-from tests.support.finite_volume_oracle import at_corners, smallest_jacobians
+from validation.oracles.large_motion import displaced_corners, smallest_jacobians
 
 Field = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -27,14 +26,7 @@ _LEAST = 0.2
 
 def run(first: int, count: int) -> None:
     """Solve random problems and print the numbers of faults, refusals and missed targets."""
-    random_large_motion.run(first, count, make_case, smallest_of)
-
-
-def smallest_of(problem: Problem, displacement: npt.NDArray[np.floating]) -> float:
-    """Return the smallest Jacobian at 10^3 points in each element of tissue."""
-    d = displacement / np.array(problem.spacing)
-    values = at_corners(d)[in_elements(problem.stiffness)]
-    return float(smallest_jacobians(values).min()) if len(values) else 1.0
+    random_large_motion.run(first, count, make_case, points=10)
 
 
 def make_case(number: int) -> Case:
@@ -125,6 +117,6 @@ def _smooth_map(random: np.random.Generator, shape: tuple[int, ...]) -> Field:
     smooth = [scipy.ndimage.gaussian_filter(each, min(shape) / 5) for each in noise]
     d = np.stack(smooth, axis=-1)
     d *= random.uniform(1, 6) / np.abs(d).max()
-    while smallest_jacobians(at_corners(d), 5).min() < _LEAST:
+    while smallest_jacobians(displaced_corners(d), 5).min() < _LEAST:
         d *= 0.8
     return d

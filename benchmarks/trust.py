@@ -35,14 +35,14 @@ from unittest.mock import patch
 
 import numpy as np
 import psutil
-from exact import Exact, exact_field
-from exact.rank import free_motions
 from random_problems import RandomProblem, random_problem
 from random_volumes import judge as judge_volumes
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, SeilerPrior, solve
 from napari_hmrf.errors import Cancelled, ConvergenceError, HmrfError, ProblemError
 from napari_hmrf.solver.backends.cpu import layout
+from validation.oracles.exact import Exact, exact_field
+from validation.oracles.exact.rank import free_motions
 
 #: Kinds of violations and their definitions.
 KINDS = {
@@ -73,10 +73,10 @@ _PAGE = """# Random problems against exact solutions
 
 This campaign generates random problems of 1 to 64 pixels a side, with every kind of tissue, void,
 observations, pixels and penalties, and with contrasts up to 1e7. Each problem is solved by the
-package and by a direct solution of the same equations in 32 digits (`benchmarks/exact`), which
-shares no code with the package. Problems with odd numbers are solved as large images, of which only
-the rows of tissue are stored. `make trust PAGE=docs/validation/trust.md` wrote this page on
-{machine}.
+package and by a direct solution of the same equations in 32 digits (`validation/oracles/exact`),
+which shares no code with the package. Problems with odd numbers are solved as large images, of
+which only the rows of tissue are stored. `make trust PAGE=docs/validation/trust.md` wrote this page
+on {machine}.
 
 {report}
 """

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from exact.direct import Factors
-from exact.matrices import Matrix, matrix_of
-from exact.slip import Marks, balance, shortest
 from napari_hmrf import ElasticPrior, Problem, SeilerPrior
 from napari_hmrf.solver.connected import connected
+from validation.oracles.exact.direct import Factors
+from validation.oracles.exact.matrices import Matrix, matrix_of
+from validation.oracles.exact.slip import Marks, balance, shortest
 
 #: Relative stiffness of a motion below which tissue is free to move.
 FREE = 1e-12

@@ -23,9 +23,9 @@ import scipy.optimize
 import scipy.sparse
 from scipy.sparse import csgraph
 
-from exact import double_double as dd
-from exact.direct import Factors
-from exact.matrices import Array, Matrix, Numbers
+from validation.oracles.exact import double_double as dd
+from validation.oracles.exact.direct import Factors
+from validation.oracles.exact.matrices import Array, Matrix, Numbers
 
 # Tolerance for contradictions of a state: in pixels, or as a fraction of the limit.
 _SLACK = 1e-10

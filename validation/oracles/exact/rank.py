@@ -12,8 +12,8 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from exact.matrices import LINES, line_fractions
 from napari_hmrf import Problem
+from validation.oracles.exact.matrices import LINES, line_fractions
 
 _loop = numba.njit(cache=True, nogil=True)
 _PRIMES = (2147483647, 2147483629)

@@ -8,8 +8,8 @@ import numpy as np
 import scipy.sparse
 from scipy.sparse import csgraph
 
-from exact import double_double as dd
-from exact.matrices import Array, Matrix, Numbers
+from validation.oracles.exact import double_double as dd
+from validation.oracles.exact.matrices import Array, Matrix, Numbers
 
 
 class Factors:

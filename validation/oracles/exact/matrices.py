@@ -22,8 +22,8 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from exact import double_double as dd
 from napari_hmrf import ElasticPrior, Problem, SeilerPrior
+from validation.oracles.exact import double_double as dd
 
 Array = npt.NDArray[np.float64]
 Numbers = npt.NDArray[np.int64]
