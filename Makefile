@@ -14,7 +14,7 @@ SEED ?= 0
 # How many random problems `make cavities` solves.
 PROBLEMS ?= 2000
 
-.PHONY: help setup setup-for-windows setup-for-report setup-for-docs demo test campaigns docs format lint types routes structure benchmarks live dragging trust cavities uncertainty edits folds soak damaged disks volumes roofline solving hard report mutations screenshots gallery sample-data constraints clean
+.PHONY: help setup setup-for-windows setup-for-report setup-for-docs demo test campaigns docs format lint types routes structure speed window peers paper trust cavities uncertainty edits folds soak damaged disks volumes roofline hard report mutations screenshots gallery sample-data constraints clean
 .DEFAULT_GOAL := help
 
 help:
@@ -25,22 +25,22 @@ help:
 	@echo "make format       format the code"
 	@echo "make lint         look for mistakes in style, imports and dependencies"
 	@echo "make types        check the types"
-	@echo "make benchmarks   print the tables of the paper, measured here"
-	@echo "make live         measure how fast tissue follows the mouse, without and with a window"
+	@echo "make speed        time and memory of this package: NAMES='solve drag' chooses, AGAINST=folder compares checkouts"
+	@echo "make window       time from the mouse to the picture in a window: AGAINST=folder compares with another checkout"
+	@echo "make peers        time this package beside PyAMG, SuperLU and others: NAMES=volumes chooses"
+	@echo "make paper        print the tables of the paper, measured here"
 	@echo "make routes       print the modules that Deform and a drag pass through"
 	@echo "make structure    write the diagram of the subpackages to docs/development/architecture.md"
-	@echo "make dragging     time from the mouse to the picture: AGAINST=folder compares with another checkout"
 	@echo "make trust        compare thousands of random problems with exact solutions: LOOPS=200 SHADERS=20 is shorter"
 	@echo "make cavities     compare random small problems with cavities and sliding parts with dense solutions: PROBLEMS=200 is shorter"
-	@echo "make uncertainty  compare error bars with dense posteriors, count how often they contain the truth, and time them"
+	@echo "make uncertainty  compare error bars with dense posteriors, and count how often they contain the truth"
 	@echo "make edits        compare thousands of live edits with cold solves"
 	@echo "make folds        solve thousands of random large motions of images and volumes, and check for folds"
 	@echo "make soak         solve thousands of small volumes, and print how memory grows"
 	@echo "make damaged      read thousands of damaged files of each exchange format"
 	@echo "make disks        write each kind of file to a full disk (as root, on Linux)"
-	@echo "make volumes      time volumes beside PyAMG, and compare hundreds of random ones with direct solutions"
+	@echo "make volumes      compare hundreds of random small volumes with direct solutions"
 	@echo "make roofline     count operations and bytes of each loop, and time it beside the limits of the processor"
-	@echo "make solving      time solves of volumes and images: AGAINST=folder compares with another checkout"
 	@echo "make report       write the validation report, docs/validation/README.md, anew: ten minutes"
 	@echo "make hard         write the table of hard tissue, docs/validation/hard.md, anew: an hour"
 	@echo "make mutations    break the package in more than a hundred places, one by one, and see a test fail for each"
@@ -95,21 +95,23 @@ lint: setup
 types: setup
 	@$(RUN) -m mypy
 
-benchmarks: setup
-	@$(RUN) benchmarks/run.py
+speed: setup
+	@$(RUN) benchmarks/speed.py $(NAMES) $(if $(AGAINST),--against $(AGAINST))
 
-live: setup-for-windows
-	@$(RUN) benchmarks/live.py
-	@$(HEADLESS) $(RUN) benchmarks/live.py --napari
+window: setup-for-windows
+	@$(HEADLESS) $(RUN) benchmarks/window.py $(if $(AGAINST),--against $(AGAINST))
+
+peers: setup-for-report
+	@$(RUN) benchmarks/peers.py $(NAMES)
+
+paper: setup
+	@$(RUN) benchmarks/paper.py
 
 routes: setup-for-windows
 	@$(HEADLESS) $(RUN) scripts/routes.py
 
 structure:
 	@$(PYTHON) scripts/structure.py --write
-
-dragging: setup-for-windows
-	@$(HEADLESS) $(RUN) benchmarks/dragging.py $(if $(AGAINST),--against $(AGAINST))
 
 trust: setup
 	@$(RUN) benchmarks/trust.py --loops $(LOOPS) --shaders $(SHADERS) --volumes $(VOLUMES) --seed $(SEED) $(if $(PAGE),--page $(PAGE))
@@ -136,14 +138,11 @@ damaged: setup
 disks: setup
 	@$(RUN) benchmarks/full_disks.py --commands --page docs/validation/full-disks.md
 
-volumes: setup-for-report
-	@$(RUN) benchmarks/volumes.py
+volumes: setup
+	@NUMBA_NUM_THREADS=1 $(RUN) benchmarks/random_volumes.py
 
 roofline: setup
 	@$(RUN) benchmarks/roofline.py
-
-solving: setup
-	@$(RUN) benchmarks/solving.py $(if $(AGAINST),--against $(AGAINST))
 
 report: setup-for-report
 	@$(RUN) benchmarks/validation.py

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from fem import plane_stress_displacement, rmsd
+from paper import PHANTOMS
 from readings import solve_exactly
-from run import PHANTOMS
 
 from napari_hmrf import ConvergenceError, ElasticPrior, Multigrid, Problem, SeilerPrior, solve
 from napari_hmrf.data import phantom

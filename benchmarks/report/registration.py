@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from fem import plane_stress_displacement, rmsd
-from run import PHANTOMS
+from paper import PHANTOMS
 
 from napari_hmrf import ElasticPrior, Multigrid, solve, warp
 from napari_hmrf.data import phantom
