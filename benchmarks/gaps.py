@@ -6,11 +6,10 @@
 The tissue is smoothed noise above a threshold, held at one side and moved at the other. A weak
 rotation of a flap costs so little energy that an error estimate may miss it. Small images have 16
 to 49 pixels a side, large images 200 to 600, and volumes 8 to 17 voxels. Each problem is solved at
-tolerances of 0.01 and 0.001, and compared with a direct solve: by SuperLU for small images, by
-SuperLU with a matrix of scikit-fem for volumes, and by the package's own factorization for large
-images, whose residual is checked with the forces of the elements in NumPy. A violation is an error
-above 1.05 times the larger of the reported error and the tolerance. Exits with 1 if there are
-violations.
+tolerances of 0.01 and 0.001, and compared with a direct solve: by SuperLU with elements by
+scikit-fem for small images and volumes, and by the package's own factorization for large images,
+whose residual is checked with the forces of the elements in NumPy. A violation is an error above
+1.05 times the larger of the reported error and the tolerance. Exits with 1 if there are violations.
 
 With ``PYTHONPATH`` set to another checkout, the figures are those of that checkout.
 """
@@ -28,7 +27,6 @@ from unittest.mock import patch
 
 import numpy as np
 import numpy.typing as npt
-import volume_oracle
 from scipy import ndimage
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, solve
@@ -36,7 +34,7 @@ from napari_hmrf.errors import HmrfError
 from napari_hmrf.solver.optimizers.refinement import Refinement
 from napari_hmrf.solver.priors.elements import element_forces
 from napari_hmrf.solver.unconnected import scraps
-from tests.support import elastic_oracle
+from validation.oracles.elasticity import direct_solution
 
 POISSON = 0.3
 TOLERANCES = 0.01, 0.001
@@ -126,10 +124,8 @@ def compare(
 
 def _exact(problem: Problem, prior: ElasticPrior) -> Any:
     """Return the displacement by a direct solve."""
-    if len(problem.shape) == 3:
-        return volume_oracle.direct_solution(problem, POISSON)
-    if max(problem.shape) < _LARGE[0]:
-        return elastic_oracle.direct_solution(problem, prior)
+    if len(problem.shape) == 3 or max(problem.shape) < _LARGE[0]:
+        return direct_solution(problem, prior)
     with patch.object(Refinement, "_iterate", lambda *_: False):  # factorizes the system
         found = solve(problem, prior, optimizer=Multigrid(_DIRECT), backend="cpu")
     forces = element_forces(prior.lame(problem), prior.shape(problem.spacing), found.displacement)
