@@ -22,12 +22,13 @@ help:
 	@echo "make demo         deform the sample brain; pictures in demo-output/, napari where there is a display"
 	@echo "make test         run the tests"
 	@echo "make format       format the code"
-	@echo "make lint         look for mistakes in style, imports and dependencies"
-	@echo "make types        check the types"
+	@echo "make lint types   look for mistakes in style, imports and dependencies, and in types"
 	@echo "make docs         build the site of the documentation: docs/_build/index.html"
 	@echo "make campaigns    run the long tests: further cases, examples, notebooks, code in the documentation"
 	@echo "make wheel        build the wheel, and try it with the oldest and the newest napari that it allows"
 	@echo "make mutations    break the package in many places, one by one, and see a test fail: NAMES=solver"
+	@echo "make speed        time and memory of this package: NAMES='solve drag', AGAINST=folder compares checkouts"
+	@echo "make peers        time this package beside PyAMG, SuperLU and CalculiX: NAMES=volumes"
 	@echo "make report       write the validation report, docs/validation/README.md, anew: ten minutes"
 	@echo "make screenshots  draw the pictures of the documentation again: NAMES=tutorials"
 	@echo "make sample-data  make the files of sample_data/ again"
@@ -79,15 +80,17 @@ lint: setup
 types: setup
 	@$(RUN) -m mypy
 
-benchmarks: setup
-	@$(RUN) benchmarks/run.py
+speed: setup
+	@$(RUN) benchmarks/speed.py $(NAMES) $(if $(AGAINST),--against $(AGAINST))
 
-live: setup-for-windows
-	@$(RUN) benchmarks/live.py
-	@$(HEADLESS) $(RUN) benchmarks/live.py --napari
+window: setup-for-windows
+	@$(HEADLESS) $(RUN) benchmarks/window.py $(if $(AGAINST),--against $(AGAINST))
 
-dragging: setup-for-windows
-	@$(HEADLESS) $(RUN) benchmarks/dragging.py $(if $(AGAINST),--against $(AGAINST))
+peers: setup-for-report
+	@$(RUN) benchmarks/peers.py $(NAMES)
+
+paper: setup
+	@$(RUN) benchmarks/paper.py
 
 trust: setup
 	@$(RUN) benchmarks/trust.py --loops $(LOOPS) --shaders $(SHADERS) --volumes $(VOLUMES) --seed $(SEED) $(if $(PAGE),--page $(PAGE))
@@ -114,14 +117,11 @@ damaged: setup
 disks: setup
 	@$(RUN) benchmarks/full_disks.py --commands --page docs/validation/full-disks.md
 
-volumes: setup-for-report
-	@$(RUN) benchmarks/volumes.py
+volumes: setup
+	@NUMBA_NUM_THREADS=1 $(RUN) benchmarks/random_volumes.py
 
 roofline: setup
 	@$(RUN) benchmarks/roofline.py
-
-solving: setup
-	@$(RUN) benchmarks/solving.py $(if $(AGAINST),--against $(AGAINST))
 
 report: setup-for-report
 	@$(RUN) benchmarks/validation_report.py

@@ -19,10 +19,13 @@ import statistics
 import sys
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from volumes import growing
+from clock import Times, median_times, timed
+from speed import growing
+from table import head, line
 
 from napari_hmrf import ICM, BackendError, ElasticPrior, Multigrid, Problem, Solution, solve
 from napari_hmrf.data import phantom
@@ -58,7 +61,7 @@ void main()
 """
 
 
-class Timed(NamedTuple):
+class Measured(NamedTuple):
     """Solution, its wall time, and the median time of a cycle, in seconds."""
 
     solution: Solution
@@ -66,12 +69,13 @@ class Timed(NamedTuple):
     cycle: float
 
 
-def timed(
+def measure(
     problem: Problem, prior: Prior, optimizer: Optimizer, backend: str, repeats: int
-) -> Timed:
+) -> Measured:
     """Return the median times of warm solves."""
     solve(problem, prior, optimizer=optimizer, backend=backend)
-    seconds, cycles = [], []
+    times: list[Times] = []
+    cycles: list[float] = []
     for _ in range(repeats):
         moments: list[float] = []
 
@@ -79,13 +83,12 @@ def timed(
             if monitor.message.startswith("cycle"):
                 moments.append(time.perf_counter())
 
-        begun = time.perf_counter()
-        found = solve(problem, prior, optimizer=optimizer, backend=backend, progress=note)
-        seconds.append(time.perf_counter() - begun)
+        run = partial(solve, problem, prior, optimizer=optimizer, backend=backend, progress=note)
+        found, own = timed(run)
+        times.append(own)
         cycles += np.diff(moments).tolist()
-    return Timed(
-        found, statistics.median(seconds), statistics.median(cycles) if cycles else math.nan
-    )
+    cycle = statistics.median(cycles) if cycles else math.nan
+    return Measured(found, median_times(times).wall, cycle)
 
 
 def copy_speeds() -> dict[str, float]:
@@ -126,13 +129,15 @@ def _bytes_per_second(
     run: Callable[[], object], finish: Callable[[], object], times: int = 20
 ) -> float:
     """Return the bytes read and written per second by a function that copies the memory once."""
+
+    def copies() -> None:
+        for _ in range(times):
+            run()
+        finish()
+
     run()
     finish()
-    begun = time.perf_counter()
-    for _ in range(times):
-        run()
-    finish()
-    return 2 * 4 * _COPIED * times / (time.perf_counter() - begun)
+    return 2 * 4 * _COPIED * times / timed(copies)[1].wall
 
 
 def print_row(
@@ -140,28 +145,38 @@ def print_row(
 ) -> float:
     """Print the rows of a problem, and return the largest difference to the compiled loops."""
     prior, optimizer = ElasticPrior(0.45), Multigrid(TOLERANCE)
-    loops = timed(problem, prior, optimizer, "cpu", max(1, repeats // 3))
+    loops = measure(problem, prior, optimizer, "cpu", max(1, repeats // 3))
     sites = math.prod(problem.shape)
     largest = 0.0
     for stage in stages:
         try:
-            found = timed(problem, prior, optimizer, f"opengl:{stage}", repeats)
+            found = measure(problem, prior, optimizer, f"opengl:{stage}", repeats)
         except BackendError as error:
-            print(f"| {name} | {stage} | {error} |")
+            print(line([name, stage, error]))
             continue
-        apart = np.abs(found.solution.displacement - loops.solution.displacement).max()
-        largest = max(largest, float(apart))
+        apart = float(np.abs(found.solution.displacement - loops.solution.displacement).max())
+        largest = max(largest, apart)
         paper = ""
         if not problem.is_volume:
-            schedule = timed(problem, SeilerPrior(), ICM(), f"opengl:{stage}", repeats)
+            schedule = measure(problem, SeilerPrior(), ICM(), f"opengl:{stage}", repeats)
             paper = f"{1e3 * schedule.seconds:.1f}"
-        print(
-            f"| {name} | {stage} | {1e3 * found.seconds:.1f} | {found.solution.iterations} | "
-            f"{1e3 * found.cycle:.2f} | {found.cycle * speeds[stage] / sites:.0f} | "
-            f"{1e3 * loops.seconds:.1f} | {apart:.4f} | {paper} |",
-            flush=True,
-        )
+        cells = [
+            name,
+            stage,
+            f"{1e3 * found.seconds:.1f}",
+            found.solution.iterations,
+            f"{1e3 * found.cycle:.2f}",
+            f"{found.cycle * speeds[stage] / sites:.0f}",
+            f"{1e3 * loops.seconds:.1f}",
+            f"{apart:.4f}",
+            paper,
+        ]
+        print(line(cells), flush=True)
     return largest
+
+
+_TITLES = ("tissue", "shaders", "solve, ms", "cycles", "a cycle, ms", "bytes a site")
+_TITLES += ("loops, ms", "difference, px", "paper's schedule, ms")
 
 
 def main() -> int:
@@ -176,11 +191,7 @@ def main() -> int:
     print(f"{device.renderer}; loops on {os.cpu_count()} cores")
     for stage, speed in speeds.items():
         print(f"a {stage} shader copies {speed / 1e9:.0f} GB/s")
-    print(
-        "\n| tissue | shaders | solve, ms | cycles | a cycle, ms | bytes a site in that time | "
-        "loops, ms | largest difference, px | paper's schedule, ms |\n"
-        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |"
-    )
+    print(f"\n{head(_TITLES)}")
     apart = 0.0
     for size in options.images:
         name = f"{size} x {size}"

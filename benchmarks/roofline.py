@@ -29,7 +29,6 @@ import itertools
 import os
 import sys
 import textwrap
-import time
 from collections import defaultdict
 from collections.abc import Callable
 from types import ModuleType
@@ -39,7 +38,9 @@ os.environ.setdefault("NAPARI_HMRF_COMPILE", "here")
 
 import numba
 import numpy as np
-from solving import ellipsoid
+from clock import Times, timed
+from speed import ellipsoid
+from table import markdown
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, solve
 from napari_hmrf.data import phantom
@@ -170,20 +171,15 @@ def _multiply_add(values, factor, term, passes):  # type: ignore[no-untyped-def]
                 values[thread, i] = value
 
 
-def _clock() -> float:
-    """Return a time in seconds, without the time of other processes if there is one thread."""
-    return time.process_time() if numba.get_num_threads() == 1 else time.perf_counter()
+def _seconds(times: Times) -> float:
+    """Return the processor time if there is one thread, which other processes do not increase."""
+    return times.processor if numba.get_num_threads() == 1 else times.wall
 
 
 def _least(run: Callable[[], object]) -> float:
     """Return the least time of several runs, in seconds."""
     run()
-    times = []
-    for _ in range(_REPEATS):
-        begun = _clock()
-        run()
-        times.append(_clock() - begun)
-    return min(times)
+    return min(_seconds(timed(run)[1]) for _ in range(_REPEATS))
 
 
 def limits() -> tuple[float, float]:
@@ -219,11 +215,10 @@ class Timer:
             for each in arguments
             if isinstance(each, np.ndarray) and each.ndim > 1 and each.dtype.kind == "f"
         ]
-        begun = _clock()
-        result = self._run(*arguments)
+        result, times = timed(lambda: self._run(*arguments))
         if arrays[self._own][0].size >= self._sites:
             steps = len(arguments[-2]) if self._batches else 1
-            self.seconds += _clock() - begun
+            self.seconds += _seconds(times)
             self.calls += steps
         return result
 
@@ -243,9 +238,8 @@ def measure(kernels: tuple[Kernel, ...], problem: Problem, solves: int) -> str:
         timers = [Timer(each, int(problem.tissue.sum())) for each in kernels]
         for kernel, timer in zip(kernels, timers, strict=True):
             setattr(kernel.module, kernel.name, timer)
-        begun = _clock()
-        cycles = run()
-        whole = _clock() - begun
+        cycles, times = timed(run)
+        whole = _seconds(times)
         for kernel, original in zip(kernels, originals, strict=True):
             setattr(kernel.module, kernel.name, original)
         for kernel, timer in zip(kernels, timers, strict=True):
@@ -268,32 +262,28 @@ def measure(kernels: tuple[Kernel, ...], problem: Problem, solves: int) -> str:
         "distance",
         "share of the solve",
     )
-    lines = [
-        f"{found}; {numba.get_num_threads()} threads; {speeds}",
-        "",
-        f"| {' | '.join(titles)} |",
-        "| --- " * len(titles) + "|",
-    ]
+    rows = []
     whole = sum(least.values())
     for kernel, timer in zip(kernels, timers, strict=True):
         count = sum(times * operations(loop) for times, loop in kernel.loops)
         each = 1e9 * least[kernel.name] / max(timer.calls, 1) / sites
         memory, arithmetic = kernel.size / copied, count / computed
-        cells = (
-            f"{kernel.name}",
-            f"{timer.calls / cycles:.1f}",
-            f"{count:.0f}",
-            f"{kernel.size:g}",
-            f"{each:.2f}",
-            f"{memory:.2f}",
-            f"{arithmetic:.2f}",
-            f"{each / max(memory, arithmetic):.1f}",
-            f"{100 * least[kernel.name] / whole:.0f} %",
+        rows.append(
+            [
+                kernel.name,
+                f"{timer.calls / cycles:.1f}",
+                f"{count:.0f}",
+                f"{kernel.size:g}",
+                f"{each:.2f}",
+                f"{memory:.2f}",
+                f"{arithmetic:.2f}",
+                f"{each / max(memory, arithmetic):.1f}",
+                f"{100 * least[kernel.name] / whole:.0f} %",
+            ]
         )
-        lines.append(f"| {' | '.join(cells)} |")
-    rest = least["rest of the solve"]
-    lines.append(f"| rest of the solve |  |  |  |  |  |  |  | {100 * rest / whole:.0f} % |")
-    return "\n".join(lines)
+    rest = 100 * least["rest of the solve"] / whole
+    rows.append(["rest of the solve", *[""] * (len(titles) - 2), f"{rest:.0f} %"])
+    return f"{found}; {numba.get_num_threads()} threads; {speeds}\n\n{markdown(titles, rows)}"
 
 
 def main() -> int:

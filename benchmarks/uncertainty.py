@@ -1,7 +1,7 @@
-"""Uncertainty: standard deviations beside dense posteriors, coverage of intervals, and times.
+"""Uncertainty: standard deviations beside dense posteriors, and coverage of intervals.
 
     python -m benchmarks.uncertainty [samples] [coverage] [landmark] [scales] [power] [fits]
-                                     [maps] [accuracy] [times] [--problems 2000]
+                                     [maps] [accuracy] [--problems 2000]
     python -m benchmarks.uncertainty brain [--image FILE] [--samples 30]
 
 `samples` compares standard deviations of 30, 300 and 3000 samples with those of dense inverse
@@ -12,10 +12,10 @@ landmark at the least sure patch with one at the best and at any place. `scales`
 strain to such landmarks, and `power` counts how often a test of their agreement with the model
 finds that the model is wrong. `fits` finds the stiffness and the growth of labels from the motion
 that scikit-fem computed, with noise of 5 %, and `maps` two inclusions whose places are unknown.
-`accuracy` compares samples with those of a solver that is a thousand times more accurate. `times`
-compares a sample with a solve after a change of the motion, in turn. `brain` prints the time of
-`uncertainty` for an MRI of a brain without its skull, or for an ellipsoid of the same size, beside
-the time of a solve and the speed of memory; it takes minutes, and runs only if named.
+`accuracy` compares samples with those of a solver that is a thousand times more accurate. `brain`
+prints the time of `uncertainty` for an MRI of a brain without its skull, or for an ellipsoid of the
+same size, beside the time of a solve and the speed of memory; it takes minutes, and runs only if
+named. ``python benchmarks/speed.py sample`` measures the time of a sample.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from benchmarks.clock import timed
 from napari_hmrf import ElasticPrior, Problem, solve
 from napari_hmrf.io.images import read_image
 from napari_hmrf.landmarks import Landmarks, StrainScale
@@ -51,7 +52,7 @@ _SCALE = StrainScale(0.1)
 _TRUTH = ElasticPrior(0.3)
 _COUNTS = (30, 300, 3000)
 _TABLES = ("samples", "coverage", "landmark", "scales", "power", "fits", "maps")
-_TABLES += ("accuracy", "times")
+_TABLES += ("accuracy",)
 # Quantiles of the normal distribution for 68 % and 95 %.
 _BOUNDS = {68: 0.9945, 95: 1.96}
 
@@ -526,44 +527,6 @@ def accuracy() -> None:
             )
 
 
-def times(turns: int = 6) -> None:
-    """Print the time of a sample relative to a solve after a change of the motion."""
-    print("| grid | solve (s) | sample (s) | ratio (range) |")
-    print("| --- | --- | --- | --- |")
-    for grid in ((300, 300), (1024, 1024), (96, 96, 96)):
-        axes = len(grid)
-        away = np.linalg.norm(np.indices(grid).T - (np.array(grid[::-1]) - 1) / 2, axis=-1).T
-        m = np.where(away < grid[0] / 5, 5.0, 1.0)
-        c, y = np.zeros((*grid, axes)), np.zeros((*grid, axes))
-        c[0], c[away < grid[0] / 20] = 1, 1
-        patch = c[..., 0] * (away < grid[0] / 20)
-        y[..., 0] = 3 * patch
-        problem = Problem(observed=y, confidence=c, stiffness=m)
-        prior = checked_prior(problem, None)
-        energy = energy_of(problem, _SCALE)
-        solve(problem, prior, backend="cpu")
-        sampler = Sampler(
-            Response(problem, prior, "cpu"), PosteriorNoise(problem, prior, energy), 0
-        )
-        pairs = []
-        for turn in range(turns):
-            moved = y.copy()
-            moved[..., axes - 1] += patch * (turn + 1)
-            other = Problem(observed=moved, confidence=c, stiffness=m)
-            begun = time.perf_counter()
-            solve(other, prior, backend="cpu")
-            between = time.perf_counter()
-            sampler.deviation(turn)
-            pairs.append((between - begun, time.perf_counter() - between))
-        solved, sampled = np.median(pairs, axis=0)
-        ratios = [two / one for one, two in pairs]
-        size = " x ".join(map(str, grid))
-        print(
-            f"| {size} | {solved:.3f} | {sampled:.3f} | {np.median(ratios):.2f} "
-            f"({min(ratios):.2f} to {max(ratios):.2f}) |"
-        )
-
-
 def _brain(path: Path | None) -> Problem:
     """Return uniform tissue with a held surface: the voxels above 0 of an image, or an ellipsoid.
 
@@ -588,9 +551,7 @@ def brain(path: Path | None, count: int) -> None:
     pulled[problem.known] = 1
     solve(problem, backend="cpu")  # loads the compiled loops
     moved = Problem(observed=pulled, confidence=problem.confidence, stiffness=problem.stiffness)
-    begun = time.perf_counter()
-    solve(moved, backend="cpu")
-    solved = time.perf_counter() - begun
+    solved = timed(lambda: solve(moved, backend="cpu"))[1].wall
     values = np.ones(1 << 27, np.float32)
     copies = [_copied(values)]
     marks = [(time.perf_counter(), time.process_time())]
@@ -618,12 +579,7 @@ def brain(path: Path | None, count: int) -> None:
 
 def _copied(values: npt.NDArray[np.float32]) -> float:
     """Return the speed of a copy on one thread, read and written, in GB/s."""
-    seconds = []
-    for _ in range(3):
-        begun = time.perf_counter()
-        values.copy()
-        seconds.append(time.perf_counter() - begun)
-    return 2e-9 * values.nbytes / min(seconds)
+    return 2e-9 * values.nbytes / min(timed(values.copy)[1].wall for _ in range(3))
 
 
 def main() -> None:
@@ -643,7 +599,6 @@ def main() -> None:
         "fits": fits,
         "maps": maps,
         "accuracy": accuracy,
-        "times": times,
         "brain": partial(brain, given.image, given.samples),
     }
     for name in given.tables or _TABLES:

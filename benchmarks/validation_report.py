@@ -15,6 +15,8 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import paper
+import peers
 from report import (
     analytic,
     bricks,
@@ -22,17 +24,15 @@ from report import (
     levels,
     load_cases,
     metropolis,
-    paper,
     registration,
     resection,
-    speed,
 )
 from report.page import Section, Settings, write_page
 
 OUT = Path(__file__).resolve().parent.parent / "docs" / "validation"
 #: Sections in the order of execution. Speed is first, before the machine becomes warm.
 SECTIONS: dict[str, Callable[[Settings], Section]] = {
-    "speed": speed.section,
+    "speed": peers.section,
     "paper": paper.section,
     "levels": levels.section,
     "metropolis": metropolis.section,

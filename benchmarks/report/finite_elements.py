@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from run import PHANTOMS
+from paper import PHANTOMS
 
 from napari_hmrf import ConvergenceError, ElasticPrior, Multigrid, Problem, SeilerPrior, solve
 from napari_hmrf.data import phantom

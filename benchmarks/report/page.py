@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import os
-import platform
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+from clock import load, machine
+from table import markdown
 
 
 @dataclass(frozen=True)
@@ -75,9 +74,7 @@ class Section:
 
     def table(self, header: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
         """Add a table; numbers are formatted with three significant digits."""
-        lines = ["| " + " | ".join(header) + " |", "|" + " --- |" * len(header)]
-        lines += ["| " + " | ".join(_cell(value) for value in row) + " |" for row in rows]
-        self.blocks.append("\n".join(lines))
+        self.blocks.append(markdown(header, rows))
 
     def picture(self, path: Path, caption: str) -> None:
         """Add a picture from the folder of the page."""
@@ -86,38 +83,6 @@ class Section:
     def __str__(self) -> str:
         """Return the section as Markdown."""
         return "\n\n".join([f"## {self.title}", *self.blocks])
-
-
-def _cell(value: Any) -> str:
-    if value is None:
-        return "-"
-    if isinstance(value, float | np.floating):
-        return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
-    return str(value)
-
-
-def duration(seconds: float) -> str:
-    """Return a time as text."""
-    return f"{1e3 * seconds:.3g} ms" if seconds < 1 else f"{seconds:.2f} s"
-
-
-def machine() -> str:
-    """Return a line about the processor, the system and the versions."""
-    name = platform.processor() or platform.machine()
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-        name = next(line.split(": ")[1] for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration, IndexError):
-        pass
-    return (
-        f"{name}, {os.cpu_count()} cores, {platform.system()}, Python "
-        f"{platform.python_version()}, NumPy {np.__version__}"
-    )
-
-
-def load() -> float | None:
-    """Return the load average over the last minute, or None if it is unknown."""
-    return os.getloadavg()[0] if hasattr(os, "getloadavg") else None
 
 
 def write_page(path: Path, sections: Sequence[Section], settings: Settings, begun: float) -> None:

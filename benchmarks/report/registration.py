@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from run import PHANTOMS
+from paper import PHANTOMS
 
 from napari_hmrf import ElasticPrior, Multigrid, solve, warp
 from napari_hmrf.data import phantom

@@ -5,7 +5,7 @@ from __future__ import annotations
 from napari_hmrf.solver.model_names import ELASTIC, ModelName
 from napari_hmrf.solver.priors.elastic import Plane
 
-# The figures are the same as in the README. `make benchmarks` measures them. Times are for two
+# The figures are the same as in the README. `make paper` measures them. Times are for two
 # cores without a GPU.
 _WHEN: dict[ModelName, str] = {
     "elastic": "Tissue stretches and bulges as elastic material does. Boundaries of confidence 1 "

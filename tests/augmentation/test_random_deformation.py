@@ -7,7 +7,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-import random_deformations
 from scipy.ndimage import binary_erosion
 
 from napari_hmrf import (
@@ -389,15 +388,6 @@ def test_deformed_pictures_match_warp_for_tissue_anywhere_in_the_image():
             )
             (moved,) = sample.pictures(Picture(noise, order=order))
             np.testing.assert_allclose(moved, expected, atol=1e-9)
-
-
-@pytest.mark.campaign
-def test_the_benchmark_runs_and_finds_no_fold(capsys):
-    assert random_deformations.main(["--quick"]) == 0
-    said = capsys.readouterr().out
-    assert "10 random fields: 0 fold" in said
-    assert said.count("0 of other bits") == 2
-    assert "CPU time a sample" in said
 
 
 def test_the_repr_states_the_size_and_the_scale():

@@ -1,0 +1,166 @@
+"""Clock of the benchmarks: wall time, processor time and peak memory of a call.
+
+This module imports no other benchmark, so that programs in other folders can use it too.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import gc
+import math
+import os
+import platform
+import statistics
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+
+try:
+    import resource
+except ImportError:  # Windows
+    resource = None  # type: ignore[assignment]
+
+_Result = TypeVar("_Result")
+# Unit of ru_maxrss: KiB on Linux, bytes on macOS.
+_PER_MEGABYTE = 1024**2 if sys.platform == "darwin" else 1024
+# Value of M_ARENA_MAX in glibc's malloc.h.
+_ARENAS = -8
+
+
+class Times(NamedTuple):
+    """Times of a call, in seconds.
+
+    Attributes
+    ----------
+    wall : float
+        Elapsed time, which other programs on the machine increase.
+    processor : float
+        Processor time of all threads of this process, and of child processes that ended meanwhile.
+    """
+
+    wall: float
+    processor: float
+
+
+def timed(work: Callable[[], _Result]) -> tuple[_Result, Times]:
+    """Return the result of a call and its times."""
+    wall, processor = time.perf_counter(), _processor_seconds()
+    result = work()
+    return result, Times(time.perf_counter() - wall, _processor_seconds() - processor)
+
+
+def median_times(times: Sequence[Times]) -> Times:
+    """Return the median of each time."""
+    return Times(*(statistics.median(values) for values in zip(*times, strict=True)))
+
+
+def repeated(
+    work: Callable[[Any], object],
+    prepare: Callable[[], Any] = lambda: None,
+    *,
+    seconds: float = 0.0,
+    least: int = 1,
+) -> Times:
+    """Return the median times of several calls.
+
+    Parameters
+    ----------
+    work : callable
+        Called with the result of `prepare`.
+    prepare : callable
+        Called before each call of `work`, and not timed.
+    seconds : float
+        Wall time of all calls together, after which no further call starts.
+    least : int
+        Least number of calls.
+    """
+    times: list[Times] = []
+    while len(times) < least or sum(each.wall for each in times) < seconds:
+        given = prepare()
+        times.append(timed(lambda given=given: work(given))[1])
+    return median_times(times)
+
+
+def _processor_seconds() -> float:
+    children = 0.0
+    if resource is not None:
+        used = resource.getrusage(resource.RUSAGE_CHILDREN)
+        children = used.ru_utime + used.ru_stime
+    return time.process_time() + children
+
+
+def with_memory(work: Callable[[], _Result]) -> tuple[_Result, float]:
+    """Return the result of a call, and the peak memory of this process above that before, in MiB.
+
+    Except on Linux, the result is too small if the memory was larger at an earlier time.
+    """
+    trim_memory()
+    before = peak_megabytes(begin=True)
+    result = work()
+    return result, peak_megabytes() - before
+
+
+def peak_megabytes(begin: bool = False) -> float:
+    """Return the peak memory of this process in MiB, or NaN if it is unknown.
+
+    On Linux, the peak is measured since the last call with `begin`; elsewhere since the start.
+    """
+    if resource is None:
+        return math.nan
+    status = Path("/proc/self/status")
+    if status.exists():
+        if begin:
+            Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
+        lines = status.read_text(encoding="ascii").splitlines()
+        return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / _PER_MEGABYTE
+
+
+def peak_of_programs() -> float:
+    """Return the peak memory of the largest child process that has ended, in MiB."""
+    if resource is None:
+        return math.nan
+    return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / _PER_MEGABYTE
+
+
+def one_heap() -> None:
+    """Make threads that start from now on share a heap, so that freed memory can be returned."""
+    with contextlib.suppress(OSError, TypeError, AttributeError):  # only glibc has this function
+        ctypes.CDLL(None).mallopt(_ARENAS, 1)
+
+
+def trim_memory() -> None:
+    """Return freed memory to the system, so that later peaks start from memory in use."""
+    gc.collect()
+    with contextlib.suppress(OSError, TypeError, AttributeError):
+        ctypes.CDLL(None).malloc_trim(0)
+
+
+def machine() -> str:
+    """Return a line about the processor, the system and the versions."""
+    name = platform.processor() or platform.machine()
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        name = next(line.split(": ")[1] for line in lines if line.startswith("model name"))
+    except (OSError, StopIteration, IndexError):
+        pass
+    return (
+        f"{name}, {os.cpu_count()} cores, {platform.system()}, Python "
+        f"{platform.python_version()}, NumPy {np.__version__}"
+    )
+
+
+def load() -> float | None:
+    """Return the load average over the last minute, or None if it is unknown."""
+    return os.getloadavg()[0] if hasattr(os, "getloadavg") else None
+
+
+def conditions() -> str:
+    """Return a line about the machine and its load, for the head of a table."""
+    busy = load()
+    return machine() + ("" if busy is None else f"; load {busy:.1f}")

@@ -1,0 +1,427 @@
+"""Time from a mouse movement to the picture on the screen, in a real napari window.
+
+    python benchmarks/window.py [size ...] [--kinds grey colour stack pin move tissue]
+    python benchmarks/window.py [size ...] --kinds iso mip plane
+    python benchmarks/window.py [size ...] --against FOLDER_OF_ANOTHER_CHECKOUT
+
+A hand drags a patch of the sample brain in a circle. Another thread posts its mouse events at the
+rate of an ordinary mouse; an event that the window has not processed yet is replaced by the next
+event, as Qt does with real events. A picture counts once Qt has shown the repainted canvas on the
+screen. The delay of a click is the time until the window answers a request that is posted every few
+milliseconds. `pin`, `move` and `tissue` paint with a brush instead of pulling. `speed.py drag`
+measures a drag without a window.
+
+For the other kinds, which are renderings of the 3-D view, the surface of a head is dragged by one
+movement at a time. Without a GPU, Mesa draws the canvas on the processor, which takes longer than
+everything else.
+
+With another checkout, windows of both take turns of some seconds; see `speed.py`. Without a
+display, run the command with `sh scripts/headless.sh`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, get_args
+
+import napari
+import numpy as np
+from checkouts import Turn, checkout, in_turn, ratio, serve, start_workers
+from clock import conditions
+from qtpy.QtCore import QEvent, QEventLoop, QObject, QPoint, QPointF, Qt, QTimer
+from qtpy.QtGui import QMouseEvent
+from qtpy.QtWidgets import QApplication
+from speed import textured_head
+from table import head, line
+
+from napari_hmrf.data import phantom
+from napari_hmrf.tissue.drawing.marks import Action
+
+SIZES, VOLUME_SIZES = (300, 1200), (96,)
+#: Kinds of images, and brushes on a grey image.
+KINDS = ("grey", "colour", "stack", "pin", "move", "tissue")
+#: Renderings of the 3-D view, as settings of the image layer.
+RENDERINGS: dict[str, dict[str, Any]] = {
+    "iso": {"rendering": "iso", "iso_threshold": 60},
+    "mip": {"rendering": "mip"},
+    "plane": {"depiction": "plane"},
+}
+_WINDOW = (1500, 950)
+# Events of the mouse per second, and seconds of one turn of the hand.
+_MOUSE, _TURN = 100.0, 2.0
+# Interval between requests to the window, in seconds.
+_ASKING = 0.003
+# Longest wait for a picture, in seconds.
+_LATEST = 300.0
+_LEFT = Qt.MouseButton.LeftButton
+
+
+class Window:
+    """Window with the dock and an image of tissue, in which a drag is simulated."""
+
+    _dock: Any
+
+    def __init__(self) -> None:
+        self.viewer = napari.Viewer(show=False)
+        self._canvas: Any = self.viewer.window._qt_viewer.canvas
+        self._native = self._canvas.native
+        self._shown: list[float] = []
+        self._native.frameSwapped.connect(lambda: self._on_frame(time.perf_counter()))
+
+    def add_dock(self) -> Any:
+        """Add the dock of the package, show the window, and return the dock."""
+        _, dock = self.viewer.window.add_plugin_dock_widget("napari-hmrf", "Soft tissue")
+        self.viewer.show()
+        return dock
+
+    def settle(self) -> None:
+        """Wait until there are no pending results."""
+        self.wait(0.3)
+        while self._dock.busy:
+            self.wait(0.1)
+
+    def wait(self, seconds: float) -> None:
+        """Run the event loop of the window for a number of seconds."""
+        loop = QEventLoop()
+        QTimer.singleShot(round(1000 * seconds), loop.quit)
+        loop.exec()
+
+    def resize(self, width: int, height: int) -> None:
+        """Give the window a size; docks request space when they are added, so wait for them."""
+        self.wait(1.0)
+        self.viewer.window.resize(width, height)
+        self.wait(1.0)
+        self.viewer.reset_view()
+        self.wait(0.5)
+
+    def send(self, kind: QEvent.Type, place: QPointF) -> None:
+        """Send an event of the left button at a position on the canvas."""
+        none = Qt.MouseButton.NoButton
+        pressed = none if kind == QEvent.Type.MouseButtonRelease else _LEFT
+        changed = none if kind == QEvent.Type.MouseMove else _LEFT
+        there = QPointF(self._native.mapToGlobal(place.toPoint()))
+        modifiers = Qt.KeyboardModifier.NoModifier
+        QApplication.sendEvent(
+            self._native, QMouseEvent(kind, place, there, changed, pressed, modifiers)
+        )
+
+    def _on_frame(self, now: float) -> None:
+        """Note that the canvas has been shown on the screen."""
+        self._shown.append(now)
+
+
+class ImageWindow(Window):
+    """Window with an image, in which drags last some seconds.
+
+    Parameters
+    ----------
+    size : int
+        Width and height of the image, in pixels.
+    kind : str
+        One of `KINDS`.
+    """
+
+    def __init__(self, size: int, kind: str) -> None:
+        self._size, self._kind = size, kind
+        self._moved: dict[int, tuple[object, float]] = {}
+        self._seen: object = None
+        self._begun = self._event_time = 0.0
+        self._late: list[float] = []
+        super().__init__()
+        drawn = phantom("mass-effect", size)
+        image, m = drawn.image, drawn.problem.stiffness
+        if kind == "colour":
+            image = np.stack([np.uint8(255 * image / image.max())] * 3, axis=-1)
+        elif kind == "stack":
+            image, m = (np.stack([np.zeros_like(each), each, each]) for each in (image, m))
+        shown = self.viewer.add_image(image, name="MR")
+        tissue = self.viewer.add_image(m, name="stiffness", visible=False)
+        if kind == "stack":
+            self.viewer.dims.set_current_step(0, 1)
+        self._dock = self.add_dock()
+        self._dock.image, self._dock.tissue = shown, tissue
+        self.viewer.mouse_over_canvas = True
+        self.resize(*_WINDOW)
+        self._dock.deformation_changed.connect(self._on_result)
+        self._dock.study_model.changed.connect(self._on_drawing)
+        self.drag(1.0)  # compiled loops are loaded
+
+    def drag(self, seconds: float) -> Turn:
+        """Drag for a number of seconds, undo the drag, and return the measured times."""
+        self._dock.start()
+        if self._kind in get_args(Action):
+            self._dock.tool = self._kind
+            self._dock.fields.by_col.value = 0.02 * self._size
+        self.settle()
+        mouse = _Poster(self._on_mouse, 1 / _MOUSE, compress=True)
+        questions = _Poster(lambda asked: None, _ASKING)
+        self._begun = time.perf_counter()
+        self.send(QEvent.Type.MouseButtonPress, self._place(0.0))
+        self.wait(0.5)
+        self._late.clear()
+        self._seen = None
+        self._begun, own, every = time.perf_counter(), time.thread_time(), time.process_time()
+        mouse.start()
+        questions.start()
+        self.wait(seconds)
+        mouse.stop()
+        questions.stop()
+        took = time.perf_counter() - self._begun
+        pictures = max(len(self._late), 1)
+        found = {
+            "late": self._late.copy(),
+            "rate": len(self._late) / took,
+            "thread": (time.thread_time() - own) / pictures,
+            "all": (time.process_time() - every) / pictures,
+            "click": questions.waits,
+        }
+        self.send(QEvent.Type.MouseButtonRelease, self._place(took))
+        self.settle()
+        self._dock.undo()
+        self.settle()
+        return found
+
+    def _place(self, seconds: float) -> QPointF:
+        """Return the position of the hand on the canvas, which moves in a circle."""
+        angle, reach = 2 * math.pi * seconds / _TURN, 0.03 * self._size
+        row = 0.5 * self._size + reach * math.sin(angle)
+        col = 0.3 * self._size + reach * (1 - math.cos(angle))
+        view = self._canvas.view
+        x, y = (view.transform * view.scene.transform).map((col, row))[:2]
+        return QPointF(QPoint(round(x), round(y)))
+
+    def _on_mouse(self, moved: float) -> None:
+        self._event_time = moved
+        self.send(QEvent.Type.MouseMove, self._place(moved - self._begun))
+
+    def _on_drawing(self, _: object, drawing: object) -> None:
+        self._moved[id(drawing)] = (drawing, self._event_time)
+
+    def _on_result(self, result: Any) -> None:
+        self._seen = result.study.motion.drawing
+
+    def _on_frame(self, now: float) -> None:
+        # A result is known by its drawing.
+        known = self._moved.pop(id(self._seen), None)
+        self._seen = None
+        if known is not None:
+            self._late.append(now - known[1])
+
+
+class VolumeWindow(Window):
+    """Window with the 3-D view of a head, in which the hand makes one movement at a time.
+
+    Parameters
+    ----------
+    size : int
+        Number of voxels from front to back.
+    rendering : str
+        One of `RENDERINGS`.
+    """
+
+    def __init__(self, size: int, rendering: str) -> None:
+        super().__init__()
+        image = textured_head(size)
+        self._centre = np.array(image.shape) / 2
+        layer = self.viewer.add_image(image, name="head")
+        self._dock = self.add_dock()
+        self._dock.extent = "volume"
+        self.viewer.dims.ndisplay = 3
+        self.resize(1400, 850)
+        self._dock.start()
+        self.settle()
+        self.viewer.reset_view()
+        for setting, value in RENDERINGS[rendering].items():
+            setattr(layer, setting, value)
+        layer.plane.position, layer.plane.normal = tuple(self._centre), (1, 0.3, 0.2)
+        self._results: list[Any] = []
+        self._dock.deformation_changed.connect(self._results.append)
+        self.drag(0.5)
+
+    def drag(self, seconds: float) -> Turn:
+        """Move for a number of seconds, undo the drag, and return the measured times."""
+        self.send(QEvent.Type.MouseButtonPress, self._place(0))
+        late: list[float] = []
+        begun, own, every = time.perf_counter(), time.thread_time(), time.process_time()
+        while len(late) < 3 or time.perf_counter() - begun < seconds:
+            moved, results = time.perf_counter(), len(self._results)
+            self._native._last_time = 0.0  # vispy drops moves in quick succession
+            self.send(QEvent.Type.MouseMove, self._place(1 + len(late) % 20))
+            self._wait_until(partial(_is_longer, self._results, results))
+            self._wait_until(partial(_is_longer, self._shown, len(self._shown)))
+            late.append(time.perf_counter() - moved)
+        took = time.perf_counter() - begun
+        found = {
+            "late": late,
+            "rate": len(late) / took,
+            "thread": (time.thread_time() - own) / len(late),
+            "all": (time.process_time() - every) / len(late),
+            "click": [],
+        }
+        self.send(QEvent.Type.MouseButtonRelease, self._place(1 + len(late) % 20))
+        self.settle()
+        self._dock.undo()
+        self.settle()
+        return found
+
+    def _place(self, away: float) -> QPointF:
+        """Return the position on the canvas of a point beside the middle of the head."""
+        plane, row, col = self._centre + np.array([0, away, 0])
+        view = self._canvas.view
+        x, y, _, w = (view.transform * view.scene.transform).map((col, row, plane))
+        return QPointF(QPoint(round(x / w), round(y / w)))
+
+    def _wait_until(self, condition: Callable[[], bool]) -> None:
+        end = time.perf_counter() + _LATEST
+        while not condition():
+            if time.perf_counter() > end:
+                raise SystemExit("there was no picture")
+            QApplication.processEvents()
+            time.sleep(0.002)
+
+
+def _is_longer(values: Sequence[Any], count: int) -> bool:
+    return len(values) > count
+
+
+class _Poster(QObject):
+    """Object that posts events to the GUI thread at a constant rate, from a separate thread.
+
+    Parameters
+    ----------
+    answer : callable
+        Function called on the GUI thread with the time of the post.
+    pause : float
+        Interval between posts, in seconds.
+    compress : bool
+        True if a pending post is replaced by the next post; False if all posts are answered.
+    """
+
+    _KIND = QEvent.Type(QEvent.registerEventType())
+
+    def __init__(
+        self, answer: Callable[[float], None], pause: float, compress: bool = False
+    ) -> None:
+        super().__init__()
+        self._answer, self._pause, self._compress = answer, pause, compress
+        self._lock = threading.Lock()
+        self._pending: list[float] = []
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self.waits: list[float] = []
+
+    def start(self) -> None:
+        """Start posting."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Stop posting."""
+        self._over.set()
+        self._thread.join()
+
+    def customEvent(self, event: QEvent) -> None:
+        """Answer the pending posts."""
+        with self._lock:
+            pending, self._pending = self._pending, []
+        if pending:
+            now = time.perf_counter()
+            self.waits += [now - posted for posted in pending]
+            self._answer(pending[-1])
+
+    def _run(self) -> None:
+        begun, count = time.perf_counter(), 0
+        while not self._over.wait(
+            max(0.0, (count + 1) * self._pause - (time.perf_counter() - begun))
+        ):
+            count += 1
+            with self._lock:
+                is_posted = bool(self._pending)
+                now = time.perf_counter()
+                self._pending = [now] if self._compress else [*self._pending, now]
+            if not is_posted:
+                QApplication.postEvent(self, QEvent(self._KIND))
+
+
+def work(kind: str, size: int) -> None:
+    """Drag on request, in a worker."""
+    window: Any = (VolumeWindow if kind in RENDERINGS else ImageWindow)(size, kind)
+    serve({}, lambda request: window.drag(request["seconds"]))
+    os._exit(0)  # skip the shutdown of Qt and its windows
+
+
+_TITLES = ("window", "size", "pictures / s", "to the screen", "95 % within", "click", "95 % within")
+_TITLES += ("GUI thread a picture", "all threads a picture")
+_BESIDE = ("this / other", "median time to the screen", "GUI thread a picture")
+_BESIDE += ("all threads a picture", "control, all threads")
+
+
+def compare(kind: str, size: int, against: Path | None, turns: int, seconds: float) -> list[str]:
+    """Drag in each checkout in turn, and return the lines of the tables."""
+    workers = start_workers(Path(__file__).resolve(), (kind, str(size)), against)
+    try:
+        answers = in_turn(workers, {"seconds": seconds}, turns, math.inf)
+    finally:
+        for worker in workers:
+            worker.end()
+    lines = []
+    names = (kind, f"{kind}, other checkout", f"{kind}, this checkout again")
+    for name, found in zip(names, answers, strict=False):
+        late, click = ([each for turn in found for each in turn[key]] for key in ("late", "click"))
+        rate, *costs = (float(np.median([turn[key] for turn in found])) for key in _FIGURES)
+        cells = [name, size, f"{rate:.1f}", *_spread(late), *_spread(click)]
+        lines.append(line([*cells, *(f"{1e3 * cost:.1f} ms" for cost in costs)]))
+    if len(answers) > 1:
+        middle = [[float(np.median(turn["late"])) for turn in found] for found in answers]
+        thread, every = ([[turn[key] for turn in found] for found in answers] for key in _COSTS)
+        figures = (middle[:2], thread[:2], every[:2], (every[2], every[0]))
+        ratios = (str(ratio(*each)) for each in figures)
+        lines += ["", head(_BESIDE), line([f"{kind}, {size}", *ratios])]
+    return lines
+
+
+_COSTS = ("thread", "all")
+_FIGURES = ("rate", *_COSTS)
+
+
+def _spread(seconds: list[float]) -> list[str]:
+    """Return the median and the 95th percentile as text."""
+    if not seconds:
+        return ["-", "-"]
+    return [f"{1e3 * each:.1f} ms" for each in np.percentile(seconds, (50, 95))]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print a table for each kind and size."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("sizes", nargs="*", type=int, metavar="size")
+    parser.add_argument("--kinds", nargs="+", choices=(*KINDS, *RENDERINGS), default=KINDS[:1])
+    parser.add_argument("--against", type=checkout, metavar="FOLDER", help="another checkout")
+    parser.add_argument("--turns", type=int, default=5, help="default: %(default)s")
+    parser.add_argument("--seconds", type=float, default=2.0, help="time of a turn")
+    parser.add_argument("--worker", nargs=2, help=argparse.SUPPRESS)
+    options = parser.parse_args(arguments)
+    if options.worker:
+        work(options.worker[0], int(options.worker[1]))
+    print(conditions())
+    titles = f"\n{head(_TITLES)}"
+    if options.against is None:
+        print(titles)
+    for kind in options.kinds:
+        for size in options.sizes or (VOLUME_SIZES if kind in RENDERINGS else SIZES):
+            lines = compare(kind, size, options.against, options.turns, options.seconds)
+            if options.against is not None:
+                print(titles)
+            print("\n".join(lines), flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
