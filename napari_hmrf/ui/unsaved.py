@@ -284,16 +284,18 @@ class Unsaved:
                 place = SlicePlace(frame.plane, (0,) * first.ndim)
                 self._undo.go_to(Part("drawing", first, place), turn=True)
             self._model.restore(study, layers)
-            if study.motion.measured is not None:
-                self._controller.refresh()  # selects the slice
-                self._model.set_measured(study.motion.measured)
-            if study.motion.drawing.marks and not self._controller.refresh():
-                raise HmrfError(f"{Path(path).name} cannot be shown here: {dock.status}")
-            if solution is not None:  # known before the drawing starts a solve
+            drawing, measured = study.motion.drawing, study.motion.measured
+            if measured is not None or drawing.marks:
+                is_read = self._controller.refresh()  # selects the slice
+                if drawing.marks and not is_read:
+                    raise HmrfError(f"{Path(path).name} cannot be shown here: {dock.status}")
+            if solution is not None:  # known before the motion starts a solve
                 shown = dock.study
-                motion = replace(shown.motion, drawing=study.motion.drawing)
+                motion = replace(shown.motion, drawing=drawing, measured=measured)
                 self._controller.engine.deliver_again(replace(shown, motion=motion), solution)
-            dock.drawing = study.motion.drawing
+            if measured is not None:
+                self._model.set_measured(measured)
+            dock.drawing = drawing
         if (brightness := self._controller.curve_layer.layer) is not None and study.moves:
             brightness.visible = False  # would tint the deformed image
         overlay = self._controller.form.result.overlay
