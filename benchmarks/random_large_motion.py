@@ -74,14 +74,13 @@ def run(
             slowest = max(slowest, (time.perf_counter() - started, number))
         least = smallest_jacobian(case.problem, found.displacement, points)
         faults = _faults(case, found, least)
-        counts.update(faults)
         gap = _gap(case.problem, found.displacement).max()
         counts["beyond the tolerance"] += found.convergence.error > Multigrid().tolerance
         counts["met"] += case.known and gap <= _MET
         if gap > _MET:
             counts["continued"] += 1
-            faults += _faults_of_continuing(case, found, gap)
-            counts[_FARTHER] += _FARTHER in faults
+            faults += [_FARTHER] if _ends_farther(case, found, gap) else []
+        counts.update(faults)
         if faults or (case.known and gap > _MET):
             what = ", ".join(faults) or "not reached"
             print(
@@ -112,21 +111,20 @@ _FAULTS = (
 _FARTHER = "continued, and refused or farther from the targets"
 
 
-def _faults_of_continuing(case: Case, found: Solution, gap: float) -> list[str]:
-    """Continue from a solution, and return the name of the fault, if there is one.
+def _ends_farther(case: Case, found: Solution, gap: float) -> bool:
+    """Continue from a solution; return whether this is refused or ends farther from the targets.
 
     As in `reach`, growth that was completed counts before the distance from the targets.
     """
     try:
         further = solve(case.problem, case.prior, backend="cpu", initial=found)
     except HmrfError:
-        return [_FARTHER]
+        return True
     assert found.reach is not None
     assert further.reach is not None
     if further.reach.grown != found.reach.grown:
-        return [_FARTHER] if further.reach.grown < found.reach.grown else []
-    left = _gap(case.problem, further.displacement).max()
-    return [_FARTHER] if left > gap + _ROUNDED else []
+        return further.reach.grown < found.reach.grown
+    return bool(_gap(case.problem, further.displacement).max() > gap + _ROUNDED)
 
 
 def _faults(case: Case, found: Any, least: float) -> list[str]:

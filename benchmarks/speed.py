@@ -52,7 +52,7 @@ from napari_hmrf import (
     solve,
 )
 from napari_hmrf.data import head_phantom, phantom
-from napari_hmrf.loads import Loads
+from validation.problems import bar, framed_volume, growing_ball, turned
 
 Array = npt.NDArray[Any]
 #: Name of the phantom of most cases in images.
@@ -469,7 +469,7 @@ def large_image(size: int) -> dict[str, Work]:
         "rim pushed by 8 px": _rim(size, 8),
         "rim pushed by 12 px": _rim(size, 12),
         "patch dragged by 60 px": _patch(size, 15, 60),
-        "bar pulled by half its length": _bar(size, size, (0.0, (size - 1) / 2)),
+        "bar pulled by half its length": bar(size, size, (0.0, (size - 1) / 2)),
     }
     return {title: _large(problem, _steps) for title, problem in problems.items()}
 
@@ -483,17 +483,8 @@ def large_drag(size: int) -> dict[str, Work]:
 @case("large-volume", 32, baseline="linear solves", is_long=True)
 def large_volume(size: int) -> dict[str, Work]:
     """Cold solve of a volume in large motion."""
-    still = np.zeros((size,) * 3, dtype=bool)
-    around = np.indices(still.shape) - (size - 1) / 2
-    held = _framed(still, (0.0, 0.0, 0.0))
-    ball = Problem(
-        observed=held.observed,
-        confidence=held.confidence,
-        stiffness=held.stiffness,
-        loads=Loads(growth=1.0 * (np.linalg.norm(around, axis=0) <= size / 8)),
-    )
     problems = {
-        "ball grown to twice its radius": ball,
+        "ball grown to twice its radius": growing_ball(size, 2.0),
         "bar bent by 90 degrees": _bent_bar(size),
         "patch dragged by a third": _dragged_ball(size, size / 3),
     }
@@ -553,7 +544,7 @@ def budget(size: int) -> dict[str, Work]:
         "patch dragged across the sample": _across_sample(size),
         "free edge pulled into the tissue": _free_edge(size),
         "tissue pressed to 2 %": _pressed(size),
-        "bar bent by 90 degrees": _bar(size // 5, size, _turned(size // 5, size, 90)),
+        "bar bent by 90 degrees": bar(size // 5, size, turned(size // 5, size, 90)),
     }
 
     def note(problem: Problem, found: Solution) -> str:
@@ -586,22 +577,6 @@ def _rim(size: int, far: float) -> Problem:
         confidence=given.confidence,
         stiffness=given.stiffness,
     )
-
-
-def _bar(height: int, width: int, end: npt.ArrayLike) -> Problem:
-    """Return a bar with a fixed left end, and a right end displaced by (2,) or (height, 2)."""
-    c, y = np.zeros((2, height, width, 2))
-    c[:, 0] = c[:, -1] = 1
-    y[:, -1] = end
-    return Problem(observed=y, confidence=c, stiffness=np.ones((height, width)))
-
-
-def _turned(height: int, width: int, degrees: float) -> Array:
-    """Return the displacement of the right end of a bar whose middle line is bent to an arc."""
-    angle = np.deg2rad(degrees)
-    radius, off = (width - 1) / angle, np.arange(height) - (height - 1) / 2
-    row = radius - (radius - off) * np.cos(angle) - off
-    return np.stack([row, (radius - off) * np.sin(angle) - (width - 1)], axis=-1)
 
 
 def _across_sample(size: int) -> Problem:
@@ -637,20 +612,11 @@ def _pressed(size: int) -> Problem:
     return Problem(observed=y, confidence=c, stiffness=np.ones((size, size)))
 
 
-def _framed(inside: Array, by: Sequence[float]) -> Problem:
-    """Return a cube with a fixed border, in which the sites `inside` are displaced."""
-    c = np.ones((*inside.shape, 3))
-    middle = (slice(1, -1),) * 3
-    c[middle] = inside[middle][..., None]
-    y = np.where(inside[..., None], by, 0.0)
-    return Problem(observed=y, confidence=c, stiffness=np.ones(inside.shape))
-
-
 def _dragged_ball(size: int, far: float) -> Problem:
     """Return a cube with a fixed border and a ball that is dragged along the last axis."""
     around = np.indices((size,) * 3) - (size - 1) / 2
     around[2] += size / 6
-    return _framed(np.linalg.norm(around, axis=0) <= size / 8, (0.0, 0.0, far))
+    return framed_volume(size, np.linalg.norm(around, axis=0) <= size / 8, (0.0, 0.0, far))
 
 
 def _bent_bar(size: int) -> Problem:

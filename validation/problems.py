@@ -1,18 +1,21 @@
-"""Problems with large motion that tests and benchmarks share."""
+"""Problems that tests and benchmarks share."""
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+from scipy import ndimage
 
 from napari_hmrf import Problem
 from napari_hmrf.loads import Loads
+from napari_hmrf.solver.neighbours import around_sites, in_elements
+from napari_hmrf.solver.unconnected import scraps
 
 Array = npt.NDArray[np.float64]
 
 
-def bar(height: int, width: int, end: Array, m: npt.ArrayLike = 1.0) -> Problem:
-    """Return a bar with a fixed left end and a right end displaced by `end` (height, 2)."""
+def bar(height: int, width: int, end: npt.ArrayLike, m: npt.ArrayLike = 1.0) -> Problem:
+    """Return a bar with a fixed left end and a right end displaced by (2,) or (height, 2)."""
     c = np.zeros((height, width, 2))
     c[:, 0] = c[:, -1] = 1
     y = np.zeros_like(c)
@@ -30,7 +33,7 @@ def turned(height: int, width: int, degrees: float) -> Array:
 
 
 def framed_volume(
-    size: int, inside: npt.NDArray[np.bool_], y: Array, loads: Loads | None = None
+    size: int, inside: npt.NDArray[np.bool_], y: npt.ArrayLike, loads: Loads | None = None
 ) -> Problem:
     """Return a cube with a fixed border, in which the sites `inside` are displaced by `y`."""
     c = np.ones((size, size, size, 3))
@@ -50,3 +53,27 @@ def growing_ball(size: int, factor: float) -> Problem:
     ball = np.linalg.norm(around, axis=0) <= size / 8
     loads = Loads(growth=np.where(ball, factor - 1, 0.0))
     return framed_volume(size, np.zeros_like(ball), np.zeros((*ball.shape, 3)), loads)
+
+
+def tissue_with_gaps(seed: int, axes: int = 2, sides: tuple[int, int] = (16, 50)) -> Problem:
+    """Return smoothed noise with gaps, necks and flaps, held at one side and moved at the other.
+
+    Parameters
+    ----------
+    seed : int
+    axes : int
+        2 for an image, 3 for a volume.
+    sides : tuple of int
+        Smallest side, and one more than the largest.
+    """
+    random = np.random.default_rng(seed)
+    shape = tuple(random.integers(*sides, axes))
+    width = (1.5, 4) if axes == 2 else (1.0, 2.5)
+    noise = ndimage.gaussian_filter(random.normal(size=shape), random.uniform(*width))
+    m = np.where(noise > 0.3 * random.uniform(0, 0.3), 0.0, 1.0)
+    y, c = np.zeros((2, *shape, axes))
+    c[0] = c[-1] = 1
+    y[-1] = 2 * random.normal(size=axes)
+    held = around_sites(in_elements(m > 0), np.logical_or)
+    problem = Problem(observed=y, confidence=c * held[..., None], stiffness=m * held)
+    return problem.with_rest(scraps(problem.tissue, problem.known))
