@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.arguments import is_whole, refuse_unless
+from napari_hmrf.arguments import is_whole, refuse_unless, require_kind
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.posterior.blanket import blanket_samples
 from napari_hmrf.posterior.noise import PosteriorNoise
@@ -171,8 +171,8 @@ def energy_of(problem: Problem, scale: StrainScale | None) -> float:
     ProblemError
         If the scale of the precision is unknown, or the landmarks have another scale.
     """
-    right = scale is None or isinstance(scale, StrainScale)
-    refuse_unless(right, "scale", scale, "a StrainScale, such as StrainScale(0.1), or None")
+    if scale is not None:
+        require_kind(StrainScale, "scale", scale, "StrainScale(0.1)")
     marks, of_marks = problem.landmarks, None
     if marks is not None:
         of_marks = marks.scale.energy(problem.stiffness, problem.spacing)

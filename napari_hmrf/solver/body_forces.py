@@ -21,8 +21,8 @@ from napari_hmrf.arguments import real, shown
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.neighbours import around_sites, in_elements, of_corners, pairs
-from napari_hmrf.solver.problem import checked_spacing
-from napari_hmrf.solver.real_arrays import as_float32, check_finite, first_index, how_many
+from napari_hmrf.solver.problem import check_each_stiffness, checked_spacing
+from napari_hmrf.solver.real_arrays import as_float32, check_finite
 
 Float64Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -376,13 +376,7 @@ def _tissue(stiffness: npt.ArrayLike) -> Mask:
             "stiffness",
             f"has shape {m.shape}, but a 2-D image (H, W) or a volume (D, H, W) is needed.",
         )
-    wrong = ~(m >= 0)
-    if wrong.any():
-        raise ProblemError(
-            "stiffness",
-            f"has {how_many(wrong)} that are negative or NaN, the first at {first_index(wrong)}. "
-            "Use positive numbers for tissue, and 0 for void.",
-        )
+    check_each_stiffness(m)
     return m > 0
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.arguments import reals, refuse_unless, shown
+from napari_hmrf.arguments import reals, require_kind, shown
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.coupling import Coupling
 from napari_hmrf.solver.loads import Loads
@@ -282,7 +282,7 @@ def in_pixels(problem: Problem, displacement: npt.ArrayLike) -> npt.NDArray[np.f
     ProblemError
         If the displacement has another shape, or is not numeric.
     """
-    refuse_unless(isinstance(problem, Problem), "problem", problem, "a Problem")
+    require_kind(Problem, "problem", problem, "Problem(observed, confidence, stiffness)")
     d = as_numbers("displacement", displacement)
     if d.shape != problem.observed.shape:
         raise ProblemError(
@@ -478,7 +478,8 @@ def _shown(length: float) -> str:
     return f"{float(f'{length:.3g}'):g}"
 
 
-def _check_stiffness(m: FloatArray) -> None:
+def check_each_stiffness(m: FloatArray) -> None:
+    """Raise an error if a stiffness is NaN or negative."""
     _check_finite("stiffness", m, but=m == np.inf)
     negative = m < 0
     if negative.any():
@@ -487,6 +488,10 @@ def _check_stiffness(m: FloatArray) -> None:
             f"has {int(negative.sum())} negative values, the first at {first_index(negative)}. "
             "Use stiffnesses above 0, or 0 where there is no tissue.",
         )
+
+
+def _check_stiffness(m: FloatArray) -> None:
+    check_each_stiffness(m)
     tissue = m > 0
     if not tissue.any():
         raise ProblemError(

@@ -503,7 +503,7 @@ MASK = np.ones((6, 6), bool)
         ("0.2 means a fifth longer", lambda m: growth(np.full((6, 6), 20))),
         ("surface: .*NaN", lambda m: pressure(m, np.where(MASK, np.nan, 0), 1.0, spacing=1)),
         ("no removed tissue", lambda m: cavity(m, MASK & False, spacing=1, pressure=1.0)),
-        ("negative or NaN", lambda m: weight(-m, (1.0, 0), spacing=1)),
+        ("36 negative values", lambda m: weight(-np.ones((6, 6)), (1.0, 0), spacing=1)),
         ("has shape", lambda m: growth(np.ones((5, 6)))),
         ("rigid tissue", lambda m: growth(np.ones((6, 6)))),
         ("has shape", lambda m: Loads(force=np.ones((6, 6)))),

@@ -24,7 +24,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.arguments import is_one_of, real, refuse_unless
+from napari_hmrf.arguments import is_one_of, real, refuse_unless, require_kind
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.data_term import refuse_data
 from napari_hmrf.solver.priors.cliques import (
@@ -115,7 +115,7 @@ class SeilerPrior:
 
     def penalty_for(self, problem: Problem) -> float:
         """Return K for a problem: the given penalty, or a value at which boundaries do not slip."""
-        refuse_unless(isinstance(problem, Problem), "problem", problem, "a Problem")
+        require_kind(Problem, "problem", problem, "Problem(observed, confidence, stiffness)")
         if self.penalty is not None:
             return self.penalty
         weights = line_weights(problem.spacing)

@@ -114,7 +114,7 @@ class Drawing:
                 f"have sources of shape {sources.shape} and targets of shape {targets.shape}. Pass "
                 "a target for each source.",
             )
-        spreads = _spreads(sd, len(sources))
+        spreads, radii = _spreads(sd, len(sources)), _of_pairs("radius", radius, len(sources))
         exact = np.rint(sources[spreads == 0])
         pixels, counts = np.unique(exact, axis=0, return_counts=True)
         if counts.max(initial=0) > 1:
@@ -139,12 +139,11 @@ class Drawing:
                     f"first being number {first} at {tuple(sources[first].tolist())}. Pass pixel "
                     "positions, (row, col) or (plane, row, col), and remove the pairs outside.",
                 )
-        radii = np.broadcast_to(as_numbers("radius", radius), len(sources)).tolist()
-        pairs = zip(sources.tolist(), targets.tolist(), radii, spreads.tolist(), strict=True)
+        columns = (each.tolist() for each in (sources, targets, radii, spreads))
         return cls(
             tuple(
                 Landmark(tuple(at), tuple(to), size, confidence, sd=spread)
-                for at, to, size, spread in pairs
+                for at, to, size, spread in zip(*columns, strict=True)
             )
         )
 
@@ -369,16 +368,22 @@ def _points(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
 
 def _spreads(sd: npt.ArrayLike | None, count: int) -> npt.NDArray[np.float64]:
     """Return the standard deviation of each pair; raise an error if they are invalid."""
-    spreads = as_numbers("sd", 0.0 if sd is None else sd).astype(np.float64)
-    if spreads.shape not in ((), (count,)):
-        raise ProblemError(
-            "sd", f"has shape {spreads.shape}. Pass one number, or one for each of {count} pairs."
-        )
+    spreads = _of_pairs("sd", 0.0 if sd is None else sd, count)
     if not (np.isfinite(spreads) & (spreads >= 0)).all():
         raise ProblemError(
             "sd", "has values that are negative, NaN or infinite. Pass lengths, or 0 for exact."
         )
-    return np.broadcast_to(spreads, count)
+    return spreads
+
+
+def _of_pairs(name: str, values: npt.ArrayLike, count: int) -> npt.NDArray[np.float64]:
+    """Return one number for each pair; raise an error if there are more or fewer."""
+    array = as_numbers(name, values).astype(np.float64)
+    if array.shape not in ((), (count,)):
+        raise ProblemError(
+            name, f"has shape {array.shape}. Pass one number, or one for each of {count} pairs."
+        )
+    return np.broadcast_to(array, count)
 
 
 def ends_of(mark: Mark, spacing: Sequence[float]) -> tuple[Point, ...]:
