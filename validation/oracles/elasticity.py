@@ -320,13 +320,20 @@ def _bodies(problem: Problem) -> Iterator[tuple[npt.NDArray[np.intp], Array]]:
         sites = np.argwhere(labels == number)
         first = axes * np.ravel_multi_index(tuple(sites.T), m.shape)
         places = (sites - sites.mean(axis=0)) * problem.spacing / problem.unit
-        motions = [np.broadcast_to(step, places.shape) for step in np.eye(axes)]
-        for i, j in combinations(range(axes), 2):
-            turn = np.zeros_like(places)
-            turn[:, i], turn[:, j] = -places[:, j], places[:, i]
-            motions.append(turn)
-        at = (first[:, None] + np.arange(axes)).ravel()
-        yield at, np.stack([motion.ravel() for motion in motions], axis=-1)
+        yield (first[:, None] + np.arange(axes)).ravel(), rigid_motions(places)
+
+
+def rigid_motions(places: Array) -> Array:
+    """Return the displacement of places, (N, n), in each rigid motion, as columns of n N rows.
+
+    Translations along each axis are followed by rotations in the plane of each pair of axes.
+    """
+    motions = [np.broadcast_to(step, places.shape) for step in np.eye(places.shape[1])]
+    for i, j in combinations(range(places.shape[1]), 2):
+        turn = np.zeros_like(places)
+        turn[:, i], turn[:, j] = -places[:, j], places[:, i]
+        motions.append(turn)
+    return np.stack([motion.ravel() for motion in motions], axis=-1)
 
 
 class System(NamedTuple):
