@@ -54,7 +54,7 @@ TERMS: dict[str, Term] = {
     "pictures=Pictures(image)": Term("a study saved with its image", "'image'"),
     "RIGID": Term("the word rigid in --materials", "'rigid'"),
     "least_jacobian": Term("", ""),
-    "amplitude, patches; or a larger smoothness": Term("--amplitude, --patches", ""),
+    "amplitude, patches": Term("--amplitude, --patches", ""),
     "resume=True": Term("--resume", "resume"),
     "without_border=True": Term(
         "a label of stiffness 0 in --labels and --materials",

@@ -207,7 +207,8 @@ class RandomSample:
 
     def labels(self, labels: npt.ArrayLike, *, fill: int = 0) -> npt.NDArray[Any]:
         """Warp a label image, shape ([D,] H, W); pixels that tissue has left become `fill`."""
-        return self.pictures(Picture(labels, order=0, fill=fill))[0]
+        pixels = whole_numbers("labels", labels)
+        return self.pictures(Picture(pixels, order=0, fill=fill))[0]
 
     def points(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
         """Move points with the tissue: shape (N, n), in pixels, in the order of the axes."""
@@ -464,8 +465,7 @@ class RandomDeformation:
         _log.warning(
             "the smallest amplitude is %.3g, but a sample has only %.3g: a larger pull would "
             "compress tissue to less than %.3g of its size (`least_jacobian`). Use a smaller "
-            "amplitude or fewer patches (`amplitude, patches; or a larger smoothness`). This "
-            "warning is logged once.",
+            "amplitude or fewer patches (`amplitude, patches`). This warning is logged once.",
             least,
             sample.amplitude,
             self._case.least_jacobian,

@@ -29,8 +29,8 @@ from napari_hmrf.field.warp import (
 from napari_hmrf.solver.backends.compile_cache import loader, loops
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.followers import Followers, followers_of
-from napari_hmrf.solver.problem import as_numbers, grid_in_words
-from napari_hmrf.solver.real_arrays import check_finite
+from napari_hmrf.solver.problem import grid_in_words
+from napari_hmrf.solver.real_arrays import as_mask, check_finite
 
 FloatArray = npt.NDArray[np.float32]
 
@@ -96,7 +96,7 @@ def rmsd(
     found, known = as_field(displacement), as_field(reference)
     mask = np.ones(found.shape[:-1], bool)
     if tissue is not None:
-        mask = as_numbers("tissue", tissue).astype(bool)
+        mask = as_mask("tissue", tissue)
     for field, shape in (("reference", known.shape[:-1]), ("tissue", mask.shape)):
         if shape != found.shape[:-1]:
             raise ProblemError(

@@ -12,7 +12,7 @@ import scipy
 
 from napari_hmrf.field.moved_points import interpolate_linearly, interpolate_with_slopes
 from napari_hmrf.field.warp import as_field, inverse_map
-from napari_hmrf.solver.problem import as_numbers
+from napari_hmrf.solver.real_arrays import as_mask
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -83,7 +83,7 @@ def inverse_displacement(
     origins, known = inverse_map(d, spacing=spacing, tissue=tissue)
     pixels, moved = d / spacing, known
     if volume:
-        mask = as_numbers("tissue", tissue).astype(bool)
+        mask = as_mask("tissue", tissue)
         moved = known & (mask | (origins != sites).any(axis=-1))
         origins[moved], moved[moved] = _refined(pixels, mask, sites[moved], origins[moved])
     if not known.all() and tissue is not None:

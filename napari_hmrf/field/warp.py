@@ -30,7 +30,7 @@ from napari_hmrf.field.resample import as_image, resample
 from napari_hmrf.field.slabs import slabs
 from napari_hmrf.solver.backends.compile_cache import compiler, loader, loops
 from napari_hmrf.solver.backends.thread import compute_thread
-from napari_hmrf.solver.problem import as_numbers
+from napari_hmrf.solver.real_arrays import as_mask, as_numbers
 
 Float64Array = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -326,7 +326,7 @@ def moved_sites(
     sizes = checked_sizes(spacing, d.shape[-1])
     mask = np.ones(d.shape[:-1], dtype=bool)
     if tissue is not None:
-        mask = as_numbers("tissue", tissue).astype(bool)
+        mask = as_mask("tissue", tissue)
         if mask.shape != d.shape[:-1]:
             raise ProblemError(
                 "tissue",

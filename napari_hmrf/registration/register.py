@@ -19,6 +19,7 @@ from napari_hmrf.registration.matching import Images, Match, Show, match, placeh
 from napari_hmrf.registration.result import Registration
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.problem import Problem, as_numbers, as_stiffness, checked_spacing
+from napari_hmrf.solver.real_arrays import as_mask
 from napari_hmrf.solver.solve import CancelFlag, Progress
 from napari_hmrf.solver.uncertain_landmarks import Landmarks, typical_stiffness
 from napari_hmrf.solver.volume_memory import REGISTRATION, require_memory
@@ -341,7 +342,7 @@ def _counted(masks: Any, fixed: FloatArray, moving: FloatArray) -> tuple[BoolArr
     for name, mask, image in zip(("fixed", "moving"), both, (fixed, moving), strict=True):
         known = np.isfinite(image)
         if mask is not None:
-            given = as_numbers("masks", mask).astype(bool)
+            given = as_mask("masks", mask)
             if given.shape != image.shape:
                 raise ProblemError(
                     "masks",

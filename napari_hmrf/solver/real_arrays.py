@@ -68,6 +68,27 @@ def whole_numbers(field: str, labels: Any) -> npt.NDArray[Any]:
     return array.astype(np.int32)
 
 
+def as_mask(field: str, value: Any) -> npt.NDArray[np.bool_]:
+    """Convert a mask to booleans: a label other than 0 is True, and no number between is accepted.
+
+    Raises
+    ------
+    ProblemError
+        If a value is not a whole number, as in a map of probabilities; the message names `field`.
+    """
+    array = as_numbers(field, value)
+    if array.dtype.kind == "f":
+        wrong = array != np.rint(array)  # also where it is NaN
+        if wrong.any():
+            first = first_index(wrong)
+            raise ProblemError(
+                field,
+                f"has the value {array[first]:g} at {first}. Pass a mask of 0 and 1, such as "
+                "`probability > 0.5`.",
+            )
+    return array.astype(bool)
+
+
 def check_finite(field: str, array: npt.NDArray[np.floating]) -> None:
     """Raise an error if an array has NaN or infinite values."""
     if not np.isfinite(array).all():

@@ -224,3 +224,6 @@ def test_rmsd_is_the_root_mean_square_length_of_the_difference_in_tissue():
     with pytest.raises(ProblemError) as refusal:
         rmsd(found, reference, ~tissue & tissue)
     assert refusal.value.field == "tissue"
+    with pytest.raises(ProblemError) as refusal:
+        rmsd(found, reference, 0.5 * tissue)  # a map of probabilities
+    assert refusal.value.field == "tissue"
