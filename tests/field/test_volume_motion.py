@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from napari_hmrf import ProblemError, warp
+from napari_hmrf.field import tetrahedron_raster
 from napari_hmrf.field.animation import Motion
 from napari_hmrf.field.comparison import compare
 from napari_hmrf.field.deformation import jacobian_determinant, spread
@@ -173,6 +174,16 @@ def test_the_inverse_of_a_point_matches_the_inverse_map(seed):
     for at in map(tuple, asked.tolist()):
         found = inverse_point(tuple(map(float, at)), d, SIZE, tissue)
         np.testing.assert_allclose(found, origin[at], atol=1e-6, err_msg=str(at))
+
+
+def test_masks_in_another_order_of_memory_do_not_compile_the_loops_again():
+    displacement, tissue = np.zeros((4, 5, 6, 3)), np.ones((4, 5, 6), bool)
+    expected = inverse_map(displacement, spacing=1, tissue=tissue)
+    versions = list(tetrahedron_raster.rasterise.signatures)
+    for other in (np.asfortranarray(tissue), np.ones((4, 5, 12), bool)[..., ::2]):
+        found = inverse_map(displacement, spacing=1, tissue=other)
+        np.testing.assert_array_equal(found[0], expected[0])
+    assert tetrahedron_raster.rasterise.signatures == versions
 
 
 def test_a_point_just_beyond_the_outermost_sites_belongs_to_their_voxels():

@@ -69,11 +69,12 @@ def prescribed(problem: Problem, start: WarmStart | None = None) -> tuple[Planes
     given = [] if start is None else start.weighted
     terms = [(loops.only_read(values), weight) for values, weight in given]
     # The loops add exactly two terms, so a missing term gets the weight 0.
-    nothing = problem.observed, 0.0
+    observed, known = loops.only_read(problem.observed), loops.only_read(problem.known)
+    nothing = observed, 0.0
     (first, one), (second, two) = [*terms, nothing, nothing][:2]
     for at in slices(problem.shape):
         parts = d[at.planes], held[at.planes]
-        about = problem.observed[at.sites], problem.known[at.sites], 1 / problem.unit
+        about = observed[at.sites], known[at.sites], 1 / problem.unit
         exact.prescribe(*about, first[at.sites], one, second[at.sites], two, *parts)
         for values, weight in terms[2:]:
             exact.blend(values[at.sites], weight, parts[1], parts[0])
@@ -161,6 +162,7 @@ def settle(displacement: FloatArray, tissue: npt.NDArray[np.bool_], unit: float)
         displacement *= unit * tissue[..., None]
         return bool(np.isfinite(displacement).all())
     exact, finite = _exact(tissue.ndim), np.zeros(tissue.shape[:-1], dtype=np.bool_)
+    tissue = loops.only_read(tissue)
     for at in slices(tissue.shape):
         parts = displacement[at.sites], tissue[at.sites], np.float32(unit), finite[at.sites]
         exact.settle(*parts)

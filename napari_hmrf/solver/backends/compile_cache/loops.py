@@ -16,6 +16,7 @@ import os
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.solver.backends.compile_cache import disk_cache, loader, sets
@@ -111,7 +112,11 @@ def _ready(part: _Part, job: str = "") -> bool:
 
 
 def only_read(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return a read-only view, so that all loops receive the same array type."""
-    view = values.view()
+    """Return a read-only, C-contiguous view, or a copy of values in another order.
+
+    Numba compiles a loop again for writable arrays and for each other order of memory. With this
+    function, a loop is compiled once, whatever arrays a user passes.
+    """
+    view = np.ascontiguousarray(values).view()
     view.setflags(write=False)
     return view

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.solver.backends.compile_cache import loops
 from napari_hmrf.solver.backends.cpu import (
     assembly,
     elastic,
@@ -263,13 +264,13 @@ class CpuElasticModel(HostModel):
             self._sites = bodies_of(m)
             stand_in = HELD_STAND_IN if can_deflate(self._sites, m.shape) else CYCLE_STAND_IN
             m = np.where(np.isinf(m), np.float32(stand_in * most), m)
-            m.setflags(write=False)  # numba would compile another version for writable arrays
-        one = isinstance(material.poisson, float)
+        m, nu = loops.only_read(m), material.poisson
+        one, each = (nu, m) if isinstance(nu, float) else (0.0, loops.only_read(nu))
         assembly.elements(
             m,
-            material.poisson if one else 0.0,
-            m if one else material.poisson,
             one,
+            each,
+            isinstance(nu, float),
             material.strain,
             0.25 / most,
             self._exact_lame,

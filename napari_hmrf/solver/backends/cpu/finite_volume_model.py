@@ -151,7 +151,7 @@ class SecondDerivatives:
         self._sides = np.array(shape, dtype=np.float32)
         sides = np.array(shape)
         #: Indices (z, y, x) of the elements whose barrier acts, in padded arrays.
-        self.walled = np.argwhere(low < BARRIER_BEGIN)
+        self.walled = np.ascontiguousarray(np.argwhere(low < BARRIER_BEGIN))
         at = tuple(self.walled.T)
         gains = _gains(solid, at)
         scales = BARRIER * solid[0][at].astype(np.float64)
@@ -167,7 +167,7 @@ class SecondDerivatives:
 
     def matrices(self) -> npt.NDArray[np.float64]:
         """Return the second derivatives of each element, (D - 1, H - 1, W - 1, 24, 24)."""
-        elements = np.argwhere(self._solid[0] > 0)
+        elements = np.ascontiguousarray(np.argwhere(self._solid[0] > 0))
         each = np.zeros((len(elements), 24, 24))
         sides, positive = self._sides.astype(np.float64), float(self._positive)
         about = self._d, elements, self._solid, sides, positive

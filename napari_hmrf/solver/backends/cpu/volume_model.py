@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from napari_hmrf.solver.backends import volume_caches
 from napari_hmrf.solver.backends.base import BATCH_SECONDS, Checkpoint
+from napari_hmrf.solver.backends.compile_cache import loops
 from napari_hmrf.solver.backends.cpu import hexahedra, volume, volume_transfer
 from napari_hmrf.solver.backends.cpu.double_level import DoubleLevel
 from napari_hmrf.solver.backends.cpu.layout import (
@@ -298,14 +299,13 @@ class CpuVolumeModel(HostModel):
         self._sites: list[BodySites] = bodies_of(m) if material.rigid else []
         if material.rigid:
             m = np.where(np.isinf(m), np.float32(CYCLE_STAND_IN * most), m)
-            m.setflags(write=False)  # numba would compile another version for writable arrays
-        scale, share = 0.125 / most, 1.0
+        m, scale, share = loops.only_read(m), 0.125 / most, 1.0
         lame = padded(1 if isinstance(nu, float) else 2, m.shape)
         if isinstance(nu, float):
             share = lame_ratio(nu, strain=True)
             volume.elements(m, m, True, scale / (2 + 2 * nu), lame)
         else:
-            volume.elements(m, nu, False, scale, lame)
+            volume.elements(m, loops.only_read(nu), False, scale, lame)
         self._checkpoint()
         self._set_levels(lame)
         for level in self.levels:
