@@ -436,9 +436,10 @@ def _add_solve(commands: Commands) -> None:
     solve.add_argument(
         "--weight",
         type=energy_option("weight"),
-        metavar="ROW/COL",
-        help="body force on elastic tissue along each axis, in units of stiffness per length, such "
-        "as 0.00981/0 for water in kPa and mm; if the first number is negative, use an equals "
+        metavar="[PLANE/]ROW/COL",
+        help="body force on elastic tissue along each axis (of a scan: head to foot, front to "
+        "back, left to right, in the directions of the file), in units of stiffness per length, "
+        "such as 0.00981/0 for water in kPa and mm; if the first number is negative, use an equals "
         "sign: --weight=-0.01/0",
     )
     solve.add_argument(

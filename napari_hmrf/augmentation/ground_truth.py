@@ -21,7 +21,7 @@ from napari_hmrf.io.images import ImageFile, write_image
 from napari_hmrf.io.landmark_files import write_points
 from napari_hmrf.io.study_file import write_study
 from napari_hmrf.solver.solution import Solution
-from napari_hmrf.study.study import Pictures, Study
+from napari_hmrf.study.study import Grid, Pictures, Study
 
 # Approximate number of landmarks per pair.
 _LANDMARKS = 200
@@ -130,12 +130,12 @@ def write_truth(
     written = []
     for number in range(count):
         sample = random.sample((seed, number))
-        frame = None if study.grid.place is None else study.grid.place.as_dict()
-        solution = replace(sample.solution, frame=frame)
-        place = place_of(solution)
+        place = place_of(_placed(sample.solution, study.grid))
         if not number:
             write_image(folder / "image.mha", ImageFile(image, place, colours))
             write_image(folder / "labels.mha", ImageFile(labels, place))
+            study = replace(study, grid=_grid_in(folder / "image.mha", study.grid))
+        solution = _placed(sample.solution, study.grid)
         within = folder / f"{number + 1:03}"
         within.mkdir(exist_ok=True)
         moved = {
@@ -150,6 +150,23 @@ def write_truth(
         written.append(Truth(within, farthest, sample.scale, inexact))
         on_written(written[-1])
     return written
+
+
+def _placed(solution: Solution, grid: Grid) -> Solution:
+    """Return a solution with the place of a grid."""
+    return replace(solution, frame=None if grid.place is None else grid.place.as_dict())
+
+
+def _grid_in(image: Path, grid: Grid) -> Grid:
+    """Return a grid with the place that it has in a written image.
+
+    The axes of the original file may have another order, and a slice has another index there. The
+    landmarks are along the axes of the written image, and the study must read them so.
+    """
+    if grid.place is None:
+        return grid
+    flat = len(grid.shape) < grid.place.ndim
+    return replace(grid, place=Grid.from_image(image, slice=0 if flat else None).place)
 
 
 def _write_motion(within: Path, sample: RandomSample, solution: Solution, place: Place) -> float:

@@ -314,6 +314,10 @@ def read_image(path: str | os.PathLike[str]) -> ImageFile:
             f"{source.name}: the segmentation has {count} layers, because segments overlap. Export "
             "it in 3D Slicer as a labelmap, in which every voxel has one label."
         )
+    if n == 4 and count == 1:
+        raise FileFormatError(
+            f"{source.name}: the image has 4 axes, as a series over time. Extract one volume of it."
+        )
     if n not in (2, 3) or count not in (1, n, 3, 4):
         raise FileFormatError(
             f"{source.name}: the image has {n} axes and {count} values per pixel. Give a grey or "

@@ -37,7 +37,7 @@ from napari_hmrf.registration.result import Registration
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import Progress
-from napari_hmrf.solver.uncertain_landmarks import Landmarks
+from napari_hmrf.solver.uncertain_landmarks import Landmarks, are_outside
 from napari_hmrf.solver.volume_memory import REGISTRATION, require_memory
 from napari_hmrf.study.ground import Ground, solve_statement
 from napari_hmrf.study.study import Grid, Study, Tissue
@@ -492,8 +492,7 @@ def _landmarks(case: RegistrationCase, pair: _Pair, matrix: Float64Array) -> Lan
     targets = _in_pixels(case.moving, file, file.targets, name, n)
     if not len(points):
         raise ProblemError(name, "contains no active landmarks. Give at least one active pair.")
-    last = np.array(pair.study.grid.shape) - 1
-    outside = int(((points < -0.5) | (points > last + 0.5)).any(axis=1).sum())
+    outside = int(are_outside(points, pair.study.grid.shape).sum())
     if outside:
         raise ProblemError(
             name,

@@ -33,7 +33,7 @@ from napari_hmrf.solver.priors import SeilerPrior, line_steps, line_weights
 from napari_hmrf.solver.priors.cliques import ratios
 from napari_hmrf.solver.problem import Problem, variant_of
 from napari_hmrf.solver.solve import CancelFlag, Progress, solve
-from napari_hmrf.solver.uncertain_landmarks import StrainScale
+from napari_hmrf.solver.uncertain_landmarks import StrainScale, checked_scale
 
 Float32Array = npt.NDArray[np.float32]
 Float64Array = npt.NDArray[np.float64]
@@ -65,11 +65,13 @@ def blanket_samples(
 
     Raises
     ------
+    ArgumentError
+        If the scale is neither a `StrainScale` nor None.
     ProblemError
         If the posterior is not a normal distribution, or if tissue can move freely.
     """
+    strain = (checked_scale(scale) or StrainScale()).strain
     _check(problem, prior)
-    strain = (scale or StrainScale()).strain
     sampler = _Sampler(problem, prior, (strain / _STRAIN) ** 2, seed, backend, cancel)
 
     def samples() -> Iterator[Float32Array]:

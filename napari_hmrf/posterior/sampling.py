@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.arguments import is_whole, refuse_unless, require_kind
+from napari_hmrf.arguments import is_whole, refuse_unless
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.posterior.blanket import blanket_samples
 from napari_hmrf.posterior.noise import PosteriorNoise
@@ -21,7 +21,7 @@ from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.rigid_modes import check_held
 from napari_hmrf.solver.sliding_parts import refuse_sliding
 from napari_hmrf.solver.solve import CancelFlag, Progress, check_arguments
-from napari_hmrf.solver.uncertain_landmarks import StrainScale
+from napari_hmrf.solver.uncertain_landmarks import StrainScale, checked_scale
 
 Float32Array = npt.NDArray[np.float32]
 Float64Array = npt.NDArray[np.float64]
@@ -171,8 +171,7 @@ def energy_of(problem: Problem, scale: StrainScale | None) -> float:
     ProblemError
         If the scale of the precision is unknown, or the landmarks have another scale.
     """
-    if scale is not None:
-        require_kind(StrainScale, "scale", scale, "StrainScale(0.1)")
+    scale = checked_scale(scale)
     marks, of_marks = problem.landmarks, None
     if marks is not None:
         of_marks = marks.scale.energy(problem.stiffness, problem.spacing)

@@ -22,7 +22,7 @@ from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.neighbours import around_sites, in_elements, of_corners, pairs
 from napari_hmrf.solver.problem import check_each_stiffness, checked_spacing
-from napari_hmrf.solver.real_arrays import as_float32, check_finite
+from napari_hmrf.solver.real_arrays import as_float32, as_mask, check_finite
 
 Float64Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -209,8 +209,9 @@ def cavity(
     tissue, size = _tissue(stiffness), _size(stiffness, spacing)
     hole = _sites_of("removed", removed, tissue)
     remaining = tissue & ~hole
-    if not hole.any():
-        raise ProblemError("removed", "has no removed tissue. Mark the pixels of the cavity.")
+    if not (hole.any() and remaining.any()):
+        what = "all of the tissue" if hole.any() else "no removed tissue"
+        raise ProblemError("removed", f"has {what}. Mark the pixels of the cavity.")
     if not (math.isfinite(real(pressure)) and 0 <= real(level) < math.inf):
         raise ProblemError(
             "cavity",
@@ -358,15 +359,14 @@ def _areas(surface: list[_Faces], size: tuple[float, ...]) -> Iterator[tuple[_Fa
 
 def _sites_of(name: str, mask: npt.ArrayLike, tissue: Mask) -> Mask:
     """Return a validated mask on the grid of the tissue."""
-    sites = as_float32(name, mask)
+    sites = as_mask(name, mask)
     if sites.shape != tissue.shape:
         raise ProblemError(
             name,
             f"has shape {sites.shape}, but stiffness has shape {tissue.shape}. Use the same pixel "
             "grid for both.",
         )
-    check_finite(name, sites)
-    return sites > 0
+    return sites
 
 
 def _tissue(stiffness: npt.ArrayLike) -> Mask:

@@ -20,7 +20,7 @@ from napari_hmrf.solver.coupling import Coupling
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.precision import MAX_PRECISION, checked_precision
 from napari_hmrf.solver.real_arrays import FloatArray as FloatArray
-from napari_hmrf.solver.real_arrays import as_float32, first_index, how_many
+from napari_hmrf.solver.real_arrays import as_float32, check_finite, first_index, how_many
 from napari_hmrf.solver.real_arrays import as_numbers as as_numbers
 from napari_hmrf.solver.real_arrays import whole_numbers as whole_numbers
 from napari_hmrf.solver.sliding_parts import SlidingParts
@@ -280,7 +280,7 @@ def in_pixels(problem: Problem, displacement: npt.ArrayLike) -> npt.NDArray[np.f
     ArgumentError
         If `problem` is not a `Problem`.
     ProblemError
-        If the displacement has another shape, or is not numeric.
+        If the displacement has another shape, is not numeric, or is not finite in tissue.
     """
     require_kind(Problem, "problem", problem, "Problem(observed, confidence, stiffness)")
     d = as_numbers("displacement", displacement)
@@ -290,7 +290,8 @@ def in_pixels(problem: Problem, displacement: npt.ArrayLike) -> npt.NDArray[np.f
             f"has shape {d.shape}, but the problem needs {problem.observed.shape}: a displacement "
             "along each axis for each site.",
         )
-    return np.asarray(d, np.float64) / problem.unit
+    check_finite("displacement", d[problem.tissue])
+    return np.where(np.isfinite(d), d, 0.0).astype(np.float64) / problem.unit
 
 
 def variant_of(problem: Problem, **changes: object) -> Problem:

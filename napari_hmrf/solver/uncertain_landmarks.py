@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.arguments import real, refuse_unless, require_flag
+from napari_hmrf.arguments import real, refuse_unless, require_flag, require_kind
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.neighbours import in_elements
 from napari_hmrf.solver.real_arrays import as_numbers, first_index
@@ -26,6 +26,8 @@ _EXTENTS = (1e-30, 1e30)
 # Largest precision of a landmark relative to the stiffness of the stiffest tissue. An observation
 # that is more certain should be prescribed.
 _MAX_WEIGHT = 1e12
+# Largest rounding error of a position, in pixels.
+_ROUNDING = 1e-6
 # Default extent of a patch, as a fraction of the longest side of the image.
 _PATCH = 0.1
 
@@ -98,6 +100,13 @@ class StrainScale:
         extent = _PATCH * longest if self.extent is None else self.extent
         typical = typical_stiffness(stiffness) if self.stiffness is None else self.stiffness
         return float(extent), typical
+
+
+def checked_scale(scale: StrainScale | None) -> StrainScale | None:
+    """Return a scale; raise an `ArgumentError` if it is neither a `StrainScale` nor None."""
+    if scale is not None:
+        require_kind(StrainScale, "scale", scale, "StrainScale(0.1)")
+    return scale
 
 
 def typical_stiffness(stiffness: npt.NDArray[Any]) -> float:
@@ -230,7 +239,7 @@ class Landmarks:
                 f"have {self.points.shape[1]} coordinates, but tissue has {axes} axes. Pass "
                 "points of the image.",
             )
-        outside = np.asarray(((self.points < 0) | (self.points > np.array(grid) - 1)).any(axis=1))
+        outside = are_outside(self.points, grid)
         if outside.any():
             raise ProblemError(
                 "landmarks",
@@ -273,6 +282,15 @@ class Landmarks:
                 "strain or extent of their StrainScale, or larger standard deviations; prescribe "
                 "what is more certain.",
             )
+
+
+def are_outside(points: Float64Array, grid: tuple[int, ...]) -> npt.NDArray[np.bool_]:
+    """Return which points, shape (n, axes) in pixels, are outside the first and last pixel centres.
+
+    Points in mm that are converted to pixels may be outside by a rounding error.
+    """
+    beyond = (points < -_ROUNDING) | (points > np.array(grid) - 1 + _ROUNDING)
+    return np.asarray(beyond.any(axis=1))
 
 
 def corners_of(points: Float64Array, grid: tuple[int, ...]) -> tuple[Any, Float64Array]:

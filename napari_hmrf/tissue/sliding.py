@@ -21,7 +21,7 @@ from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.neighbours import around_sites, in_elements
 from napari_hmrf.solver.precision import MAX_PRECISION
 from napari_hmrf.solver.problem import as_stiffness, checked_spacing
-from napari_hmrf.solver.real_arrays import as_float32
+from napari_hmrf.solver.real_arrays import as_float32, as_mask
 from napari_hmrf.tissue.normals import outer_rim, parts_of
 
 Float64Array = npt.NDArray[np.float64]
@@ -106,7 +106,7 @@ def sliding_surface(
         If an input is invalid; the message names the input and a remedy.
     """
     tissue = as_stiffness(stiffness) > 0
-    paint = as_float32("painted", painted) > 0
+    paint = as_mask("painted", painted)
     if paint.shape != tissue.shape:
         raise ProblemError(
             "painted",

@@ -143,6 +143,28 @@ def test_a_volume_is_deformed(tmp_path):
     )
 
 
+@pytest.mark.parametrize("options", [(), ("--slice", "5")])
+def test_a_truth_moves_its_landmarks_whatever_axes_the_scan_has(tmp_path, options):
+    shape = (10, 12, 14)
+    image = sitk.GetImageFromArray(smooth_image(shape).astype(np.float32))
+    image.SetDirection((0, 0, 1, 1, 0, 0, 0, 1, 0))  # the slices of the file are sagittal
+    image.SetSpacing((0.7, 0.9, 1.1))
+    labels = sitk.GetImageFromArray(np.ones(shape, np.uint8))
+    labels.CopyInformation(image)
+    for name, each in (("scan", image), ("labels", labels)):
+        sitk.WriteImage(each, str(tmp_path / f"{name}.nrrd"))
+    (tmp_path / "m.csv").write_text("label,name,stiffness\n1,brain,3\n")
+    arguments = [tmp_path / "scan.nrrd", "--labels", tmp_path / "labels.nrrd", *options]
+    arguments += ["--materials", tmp_path / "m.csv", "-o", tmp_path / "out", "--patches", 1]
+    assert main(["truth", *map(str, arguments), "--amplitude", "0.5"]) == 0
+    pair = tmp_path / "out" / "001"
+    arguments = pair / "truth.study", pair / "landmarks.csv", "-o", tmp_path / "moved"
+    assert main(["apply", *map(str, arguments)]) == 0
+    moved, before = read_points(tmp_path / "moved" / "landmarks.csv"), read_points(arguments[1])
+    assert np.linalg.norm(moved.points - before.points, axis=1).max() > 0.05
+    np.testing.assert_allclose(moved.points, moved.targets, atol=1e-4)
+
+
 def test_a_png_image_keeps_its_pixel_type(files):
     picture = np.clip(smooth_image(SHAPE), 0, 255).astype(np.uint8)
     write_image(files / "scan.png", ImageFile(picture))

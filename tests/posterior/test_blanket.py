@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from napari_hmrf import Problem, ProblemError, SeilerPrior
+from napari_hmrf.errors import ArgumentError
 from napari_hmrf.landmarks import Landmarks, StrainScale
 from napari_hmrf.posterior import sample_posterior, uncertainty
 from napari_hmrf.posterior.blanket import CliqueNoise
@@ -112,6 +113,11 @@ def test_other_posteriors_of_the_paper_are_refused_with_the_reason(problem, prio
     with pytest.raises(ProblemError, match=reason) as refused:
         sample_posterior(problem, prior, n=1)
     assert refused.value.field == named
+
+
+def test_a_scale_that_is_a_number_is_refused():
+    with pytest.raises(ArgumentError, match="StrainScale"):
+        sample_posterior(PROBLEM, BLANKET, n=1, scale=0.1)
 
 
 def test_error_bars_of_patches_are_for_elastic_tissue():

@@ -94,6 +94,8 @@ def test_a_line_inside_tissue_has_the_normal_of_the_line():
     assert np.abs(surface.normals[middle] @ normal).min() > np.cos(np.radians(1))
 
 
-def test_paint_of_another_shape_is_refused():
+def test_paint_of_another_shape_or_with_fractions_is_refused():
+    with pytest.raises(ProblemError, match=r"0\.5"):
+        sliding_surface(np.ones((4, 4)), np.full((4, 4), 0.5), spacing=1.0)
     with pytest.raises(ProblemError, match="has shape"):
         sliding_surface(np.ones((4, 4)), np.ones((4, 5)), spacing=1.0)

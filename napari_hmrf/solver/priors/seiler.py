@@ -212,8 +212,8 @@ class SeilerPrior:
         -------
         SiteParabola
             Two arrays of shape (H, W, 2) or (D, H, W, 3): the curvature A, which is 0 if the site
-            is not in any clique, and the minimizer q in the unit of ``problem.spacing``, which is
-            the current displacement of the site if A = 0.
+            is not in any clique, and the minimizer `lowest` in the unit of ``problem.spacing``,
+            which is the current displacement of the site if A = 0.
         """
         d = in_pixels(problem, displacement)
         cliques_at_sites = self._cliques_of(problem, d)

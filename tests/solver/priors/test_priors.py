@@ -186,11 +186,11 @@ def test_invalid_parameters_of_a_prior_are_rejected(wrong):
 
 
 @pytest.mark.parametrize("prior", [SeilerPrior(), ElasticPrior(), NeoHookeanPrior()])
-def test_the_energy_of_a_field_on_another_grid_is_refused(prior):
+def test_the_energy_of_a_field_on_another_grid_or_with_nan_is_refused(prior):
     rest, tissue = np.zeros((8, 9, 2)), np.ones((8, 9))
     problem = Problem(observed=rest, confidence=rest + 1, stiffness=tissue)
     energy = getattr(prior, "mean_energy", None) or prior.energy
-    for displacement in (0.0, np.zeros(2), np.zeros((2, 8, 9)), "rest"):
+    for displacement in (0.0, np.zeros(2), np.zeros((2, 8, 9)), "rest", rest + np.nan):
         with pytest.raises(ProblemError) as refused:
             energy(problem, displacement)
         assert refused.value.field == "displacement"
