@@ -40,6 +40,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     reader = parser()
     given = reader.parse_args(arguments)
     names = list(REPORT) if given.names == ["report"] else given.names
+    if given.quick and given.write:
+        reader.error("the numbers of a quick run do not belong on a page")
     for name in names:
         if name.partition(".")[0] not in MODULES:
             reader.error(f"unknown study {name}; known: report, {', '.join(MODULES)}")

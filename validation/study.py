@@ -292,7 +292,7 @@ class Run:
             verdict = f"{met} of {met + missed} targets were met."
             text = re.sub(r"^\d+ of \d+ targets were met\.", verdict, text, flags=re.M)
             path.write_text(text, encoding="utf-8")
-            print(f"written: {path}")
+            print(f"written: docs/validation/{page}")
 
 
 def of_page(page: str) -> list[Study]:
