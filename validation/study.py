@@ -197,7 +197,7 @@ class Run:
     only : sequence of str
         Texts of which a name of a case must contain one; empty for all cases.
     results : Path or None
-        File of results, in which a later run finds those of an earlier one.
+        File of results, in which a later run of the same commit finds those of an earlier one.
     out : Path or None
         Folder of pictures.
     """
@@ -260,13 +260,14 @@ class Run:
         if self.results is None or not self.results.exists():
             return {}
         lines = map(json.loads, self.results.read_text(encoding="utf-8").splitlines())
-        return {case: result for name, case, result in lines if name == one.name}
+        own = [one.name, commit()]  # a page states one commit for all rows
+        return {case: result for *key, case, result in lines if key == own}
 
     def _keep(self, one: Study, name: str, result: Any) -> None:
         if self.results is not None:  # an error, if the study keeps more than rows and numbers
             self.results.parent.mkdir(parents=True, exist_ok=True)
             with self.results.open("a", encoding="utf-8") as file:
-                file.write(json.dumps([one.name, name, result]) + "\n")
+                file.write(json.dumps([one.name, commit(), name, result]) + "\n")
 
     def write(self) -> None:
         """Replace the tables, the targets and the commit of the pages of the studies."""
@@ -333,7 +334,11 @@ def parser() -> argparse.ArgumentParser:
     add("--every", type=int, default=1, help="only every n-th random problem or landmark")
     add("--files", type=Path, nargs="+", default=[], help="input files; see the study")
     add("--methods", nargs="+", default=[], help="names of programs, or beginnings of names")
-    add("--results", type=Path, help="file of results, from which a later run continues")
+    add(
+        "--results",
+        type=Path,
+        help="file of results, from which a later run of this commit continues",
+    )
     add("--out", type=Path, help="folder for pictures")
     add("--write", action="store_true", help="replace the tables and pictures of docs/validation/")
     return made
