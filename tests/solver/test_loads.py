@@ -457,7 +457,8 @@ def test_growth_weight_and_pressure_agree_with_calculix(axes, plane, nu):
 @pytest.mark.parametrize(("axes", "plane", "nu"), [(2, "stress", 0.3), (3, "strain", 0.0)])
 @pytest.mark.parametrize("contents", ["nothing", "fluid, 60 %"])
 def test_tissue_without_a_removed_part_agrees_with_calculix(axes, plane, nu, contents):
-    off, most = studies.resected((16, 8)[axes - 2], axes, plane, nu, contents)
+    # In a smaller volume, sites beside the part are in no element, and move without CalculiX.
+    off, most = studies.resected((16, 10)[axes - 2], axes, plane, nu, contents)
     assert most > 0.1
     assert off < (1e-5 * most if contents == "nothing" else 0.01)
 
