@@ -29,7 +29,7 @@ help:
 	@echo "make mutations    break the package in many places, one by one, and see a test fail: NAMES=solver"
 	@echo "make speed        time and memory of this package: NAMES='solve drag', AGAINST=folder compares checkouts"
 	@echo "make peers        time this package beside PyAMG, SuperLU and CalculiX: NAMES=volumes"
-	@echo "make report       write the validation report, docs/validation/README.md, anew: ten minutes"
+	@echo "make report       measure the tables of the validation report again: ten minutes"
 	@echo "make screenshots  draw the pictures of the documentation again: NAMES=tutorials"
 	@echo "make sample-data  make the files of sample_data/ again"
 	@echo "make constraints  take the newest versions of everything, and write down which"
@@ -90,7 +90,7 @@ peers: setup-for-report
 	@$(RUN) benchmarks/peers.py $(NAMES)
 
 paper: setup
-	@$(RUN) benchmarks/paper.py
+	@$(RUN) -m validation paper.table-1 paper.table-2
 
 trust: setup
 	@$(RUN) benchmarks/trust.py --loops $(LOOPS) --shaders $(SHADERS) --volumes $(VOLUMES) --seed $(SEED) $(if $(PAGE),--page $(PAGE))
@@ -99,14 +99,14 @@ cavities: setup
 	@OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(RUN) -m benchmarks.cavities_and_interfaces --problems $(PROBLEMS) --seed $(SEED)
 
 uncertainty: setup
-	@$(RUN) -m benchmarks.uncertainty
+	@$(RUN) -m validation uncertainty
 
 edits: setup
 	@NUMBA_NUM_THREADS=1 $(RUN) benchmarks/live_edits.py --seed $(SEED) $(if $(PAGE),--page $(PAGE))
 
 folds: setup
-	@NUMBA_NUM_THREADS=1 $(RUN) -m benchmarks.large_motion --random 3000
-	@$(RUN) -m benchmarks.large_volumes --random 1000
+	@NUMBA_NUM_THREADS=1 $(RUN) -m validation large-motion.random --count 3000
+	@$(RUN) -m validation large-volumes.random --count 1000
 
 soak: setup
 	@NUMBA_NUM_THREADS=1 $(RUN) benchmarks/volume_soak.py
@@ -121,13 +121,13 @@ volumes: setup
 	@NUMBA_NUM_THREADS=1 $(RUN) benchmarks/random_volumes.py
 
 roofline: setup
-	@$(RUN) benchmarks/roofline.py
+	@$(RUN) -m validation hardware.roofline
 
 report: setup-for-report
-	@$(RUN) benchmarks/validation_report.py
+	@$(RUN) -m validation report --write
 
 hard: setup-for-report
-	@$(RUN) benchmarks/hard.py --page docs/validation/hard.md
+	@$(RUN) -m validation hard --results benchmark-output/hard.jsonl --write
 
 mutations: setup-for-windows
 	@$(HEADLESS) $(RUN) scripts/mutations.py $(NAMES)

@@ -42,8 +42,7 @@ from clock import (
     timed,
     trim_memory,
 )
-from report.page import Section, Settings, Target
-from speed import edit, growing, random_deformation
+from speed import Work, edit, growing, random_deformation
 from threadpoolctl import threadpool_limits
 
 from napari_hmrf import (
@@ -67,6 +66,8 @@ from validation.oracles.elasticity import (
     factorise,
     rigid_motions,
 )
+from validation.study import Options, Table, Target, study
+from validation.study import Results as StudyResults
 
 Field = npt.NDArray[Any]
 ROOT = Path(__file__).resolve().parent.parent
@@ -463,7 +464,7 @@ def _cell(run: Run | None) -> str | None:
     return f"{seconds}; {run.iterations}; {run.error:.0e} px; {run.megabytes:.0f} MB"
 
 
-# Section of the report.
+# Studies of the report.
 
 # Required ratio of times, by (backend, other solver, size).
 BOUNDS = {
@@ -478,41 +479,18 @@ BOUNDS = {
 }
 
 
-def section(settings: Settings) -> Section:
-    """Return the section of the report on speed."""
-    page = Section("Speed")
-    sizes = settings.choose((150, 300, 600, 1200), (48, 64))
-    page.say(
-        f"""**Question.** How long does each solver take, from the images to the displacement of
-        the {PHANTOM} phantom (elastic, plane stress, Poisson's ratio {PRIOR.poisson}), until
-        every site is within {WITHIN} px of the converged field? All solvers run in one process,
-        one after the other, after a warm-up. Every solve includes the assembly and the set-up,
-        except in the second row: there the same tissue was solved before, and the package has
-        cached the set-up. Multigrid stops by its own estimate. PyAMG (smoothed aggregation,
-        rigid-body modes, conjugate gradients) stops as soon as its true error is small enough;
-        these checks are not timed. The matrix is assembled slice by slice, without sorting
-        triplets. *Tuned* means PyAMG with the best of 18 settings for hard tissue, and SuperLU in
-        symmetric mode with minimum-degree ordering. CalculiX writes and reads text. Where it is
-        available, the converged field is that of PyAMG, solved to rounding. Memory is the peak of
-        the process during the first solve minus its memory before; for CalculiX it is the memory
-        of its own process."""
-    )
-    results, _ = solve_images(sizes)
-    page.blocks.append(all_solvers(results))
-    page.say("Each cell: the median time, the number of iterations, the largest error, the memory.")
-    for name, tool, how in (
-        ("pyamg", "PyAMG", '`pip install -e ".[report]"`'),
-        ("calculix", "CalculiX", calculix.HOW),
-    ):
-        if not is_there(name):
-            page.missing(tool, how)
-    page.targets += speed_targets(results, sizes)
-    _conclude(page, results, sizes)
-    _add_edit(page, settings.choose(300, 48))
-    return page
+@study(
+    "speed.solvers",
+    lambda options: {"images": options.sizes_or((150, 300, 600, 1200), (48, 64))},
+    lambda results: [all_solvers(results["images"])],
+    targets=lambda results: speed_targets(results["images"]),
+)
+def every_solver(sizes: Sequence[int]) -> Results:
+    """Time every solver until all sites are within 0.01 px of the converged field."""
+    return solve_images(sizes)[0]
 
 
-def speed_targets(results: Results, sizes: Sequence[int]) -> list[Target]:
+def speed_targets(results: Results) -> list[Target]:
     """Return targets for ratios of times, iterations per size, and growth with the sites."""
     targets = []
     for (backend, other, size), bound in BOUNDS.items():
@@ -520,7 +498,7 @@ def speed_targets(results: Results, sizes: Sequence[int]) -> list[Target]:
             gain = results[other, size].seconds / results[backend, size].seconds
             claim = f"{backend}: times faster than {SOLVERS[other][0]} at {size}"
             targets.append(Target(claim, gain, bound, at_least=True))
-    large = [size for size in sizes if size >= 300]
+    large = sorted({size for _, size in results if size >= 300})
     for backend in ("cpu", "opengl"):
         runs = [results[backend, size] for size in large if (backend, size) in results]
         if len(runs) < 2:
@@ -534,51 +512,39 @@ def speed_targets(results: Results, sizes: Sequence[int]) -> list[Target]:
     return targets
 
 
-def _conclude(page: Section, results: Results, sizes: Sequence[int]) -> None:
-    gains = []
-    for size in sizes:
-        others = [
-            (run.seconds, SOLVERS[name][0])
-            for (name, at), run in results.items()
-            if at == size and name not in _OURS
-        ]
-        if others and ("cpu", size) in results:
-            seconds, title = min(others)
-            gains.append(f"{seconds / results['cpu', size].seconds:.0f} at {size} ({title})")
-    page.say(
-        f"""**Conclusion.** Compared with the fastest other solver at each size, including the
-        tuned solvers, the compiled loops are faster by a factor of
-        {", ".join(gains) or "(no comparison was measured)"}. Part of the difference is not caused
-        by the algorithm. The other solvers are general programs for any matrix. They run on one
-        thread except for dense kernels, use double precision, and include the assembly of the
-        matrix. This solver uses the fact that its mesh is an image, runs on all cores, and
-        computes in single precision where this is sufficient. [Roofline](roofline.md) compares
-        its loops with the limits of the processor."""
-    )
+def _edits(options: Options) -> dict[str, tuple[int, Work]]:
+    size = options.sizes_or((300,), (48,))[0]
+    return {name: (size, work) for name, work in edit(size).items()}
 
 
-def _add_edit(page: Section, size: int) -> None:
-    """Add the time of a warm start relative to a cold start."""
-    ratios = {}
-    for title, work in edit(size).items():
-        assert work.baseline is not None
-        times: list[list[Times]] = [[], []]
-        for _ in range(12):  # in turn; the first three are slower
-            for each, own in zip((work, work.baseline), times, strict=True):
-                own.append(repeated(each.run, each.prepare))
-        warm, cold = (statistics.median(each.wall for each in own[3:]) for own in times)
-        ratios[title] = warm / cold
-        page.targets.append(Target(f"warm restart over cold, {size}, {title}", warm / cold, 1 / 3))
-    page.say(
-        f"""**Question.** After an edit (an eighth of the tumour's rim moved by a pixel) at {size}
-        x {size}, how long does a solve with a warm start take, relative to a cold start? The ratio
-        is {ratios["first move"]:.2f} (`python benchmarks/speed.py edit` prints it too).
-        **Conclusion.** A warm start saves the set-up (the tissue is the same) and some cycles. The
-        initial error of one pixel must still be reduced to the tolerance, so no such iteration
-        achieves a third. If the patch was moved before, as in every step of a drag except the
-        first, both earlier fields are used for the start, and the ratio is
-        {ratios["moved before"]:.2f}."""
-    )
+def _edit_targets(results: StudyResults) -> list[Target]:
+    return [
+        Target(f"warm restart over cold, {size}, {name}", ratio, 1 / 3)
+        for name, (size, ratio) in results.items()
+    ]
+
+
+@study(
+    "speed.edit",
+    _edits,
+    lambda results: [
+        Table(
+            ("warm start after an edit", "time, relative to a cold start"),
+            lambda found: [[name, ratio] for name, (_, ratio) in found.items()],
+        )
+    ],
+    targets=_edit_targets,
+)
+def warm_starts(case: tuple[int, Work]) -> tuple[int, float]:
+    """Time a warm start after an edit, in turn with a cold start."""
+    size, work = case
+    assert work.baseline is not None
+    times: list[list[Times]] = [[], []]
+    for _ in range(12):  # in turn; the first three are slower
+        for each, own in zip((work, work.baseline), times, strict=True):
+            own.append(repeated(each.run, each.prepare))
+    warm, cold = (statistics.median(each.wall for each in own[3:]) for own in times)
+    return size, warm / cold
 
 
 # Volumes.

@@ -1,6 +1,6 @@
 """Random problems of large motion, and checks of their results.
 
-``python -m benchmarks.large_motion --random 3000`` solves these problems.
+``python -m validation large-motion.random --count 3000`` solves these problems.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Random problems of large motion in volumes, and checks of their results.
 
-``python -m benchmarks.large_volumes --random 1000`` solves these problems.
+``python -m validation large-volumes.random --count 1000`` solves these problems.
 """
 
 from __future__ import annotations

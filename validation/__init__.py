@@ -1,1 +1,1 @@
-"""Validation of the package: reference solutions, shared by the tests and by the benchmarks."""
+"""Validation of the package: accuracy studies, and reference solutions that the tests share."""

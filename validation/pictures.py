@@ -1,4 +1,4 @@
-"""Functions shared by the pictures of the page."""
+"""Pictures of the studies."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.fields import deformation_grid
-from report.page import Settings
 
 COLOURS = ("#0b7285", "#e8590c", "#5f3dc4", "#2b8a3e", "#868e96", "#c2255c", "#1864ab")
 
@@ -22,11 +21,11 @@ def new_figure(width: float, height: float) -> Any:
     return Figure(figsize=(width, height), layout="constrained")
 
 
-def save(figure: Any, settings: Settings, name: str) -> Path:
-    """Write a figure to the folder of the page."""
+def save(figure: Any, folder: Path, name: str) -> Path:
+    """Write a figure to a folder."""
     from PIL import Image
 
-    path = settings.out / f"{name}.png"
+    path = folder / f"{name}.png"
     drawn = BytesIO()
     figure.savefig(drawn, dpi=100, facecolor="white")
     # A palette reduces the file to a third, without a visible difference.

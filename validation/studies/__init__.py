@@ -1,0 +1,1 @@
+"""Accuracy studies: cases, comparisons with references, and tables, by physics."""
