@@ -2,10 +2,9 @@
 
     python -m benchmarks.large_motion [exact] [textbook]
 
-``--random 3000`` solves random problems; ``--first 400 --random 200`` solves a part of them.
-
-Measures the distance to an independent Newton's method and to textbook finite elements, and
-failures on random problems. ``python benchmarks/speed.py large`` measures the time.
+Measures the distance to an independent Newton's method and to textbook finite elements.
+``python benchmarks/speed.py large`` measures the time. Random problems are those of
+``python -m benchmarks.campaign large-motion``.
 """
 
 from __future__ import annotations
@@ -16,31 +15,21 @@ from collections.abc import Callable
 
 import numpy as np
 
-from benchmarks import random_large_motion
 from napari_hmrf import NeoHookeanPrior, Problem, solve
 from napari_hmrf.loads import growth, weight
 from napari_hmrf.solver.backends.thread import compute_thread
 from validation.oracles.large_motion import large_field
 from validation.problems import bar, turned
 
-# Default number of random problems.
-_FEW = 200
-
 
 def main() -> None:
     """Print the requested sections, or all sections."""
     parser = argparse.ArgumentParser(description="Benchmark of large motion.")
     parser.add_argument("names", nargs="*", help=f"{', '.join(_SECTIONS)}; by default all")
-    parser.add_argument("--random", type=int, default=0, metavar="COUNT")
-    parser.add_argument("--first", type=int, default=0, help="number of the first random problem")
     given = parser.parse_args()
-    everything = not given.names and not given.random
     for name, section in _SECTIONS.items():
-        if everything or name in given.names:
+        if not given.names or name in given.names:
             compute_thread.submit(section).result()
-    count = _FEW if everything else given.random
-    if count:
-        compute_thread.submit(lambda: random_large_motion.run(given.first, count)).result()
 
 
 def exact(size: int = 48) -> None:

@@ -2,10 +2,9 @@
 
     python -m benchmarks.large_volumes [exact] [calculix]
 
-``--random 1000`` solves random problems; ``--first 400 --random 200`` solves a part of them.
-
-Measures the distance to an independent Newton's method and to CalculiX, and failures on random
-problems. ``python benchmarks/speed.py large-volume`` measures time and memory.
+Measures the distance to an independent Newton's method and to CalculiX.
+``python benchmarks/speed.py large-volume`` measures time and memory. Random problems are those of
+``python -m benchmarks.campaign large-volumes``.
 """
 
 from __future__ import annotations
@@ -15,28 +14,19 @@ from collections.abc import Callable
 
 import numpy as np
 
-from benchmarks import large_calculix, random_large_volumes
+from benchmarks import large_calculix
 from napari_hmrf import NeoHookeanPrior, Problem, solve
 from validation.oracles.large_motion import large_field
-
-# Default number of random problems.
-_FEW = 40
 
 
 def main() -> None:
     """Print the requested sections, or all sections."""
     parser = argparse.ArgumentParser(description="Benchmark of large motion in volumes.")
     parser.add_argument("names", nargs="*", help=f"{', '.join(_SECTIONS)}; by default all")
-    parser.add_argument("--random", type=int, default=0, metavar="COUNT")
-    parser.add_argument("--first", type=int, default=0, help="number of the first random problem")
     given = parser.parse_args()
-    everything = not given.names and not given.random
     for name, section in _SECTIONS.items():
-        if everything or name in given.names:
+        if not given.names or name in given.names:
             section()
-    count = _FEW if everything else given.random
-    if count:
-        random_large_volumes.run(given.first, count)
 
 
 def exact() -> None:
