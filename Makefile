@@ -113,7 +113,7 @@ soak: setup
 	@$(CAMPAIGN) memory
 
 damaged: setup
-	@$(RUN) benchmarks/damaged_fields.py --page docs/validation/damaged.md
+	@$(RUN) benchmarks/damaged.py --seed $(SEED)
 
 disks: setup
 	@$(RUN) benchmarks/full_disks.py --commands --page docs/validation/full-disks.md
