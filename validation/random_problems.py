@@ -42,6 +42,10 @@ _UNITS = (-3.0, 6.0)
 # Kinds of priors of images, volumes, and tissue with cavities or parts, and their shares.
 _PRIORS = ("stress", "strain", "centred", "blanket")
 _IMAGES, _VOLUMES, _PARTS = (0.3, 0.3, 0.2, 0.2), (0.0, 0.65, 0.35, 0.0), (0.5, 0.5, 0.0, 0.0)
+# Kinds of void, their shares, and shares with cavities or parts, where specks make pieces of parts
+# that touch at corners.
+_VOIDS = ("none", "holes", "around", "specks", "gaps")
+_USUAL_VOIDS, _VOIDS_OF_PARTS = (0.55, 0.13, 0.14, 0.08, 0.1), (0.4, 0.1, 0.05, 0.35, 0.1)
 # Least Jacobian of a map from which targets of large motion are sampled.
 _LEAST = 0.2
 # Kinds of edits and their shares.
@@ -185,7 +189,8 @@ def _drawn(
     axes, spacing = len(shape), _spacing(dice, len(shape))
     unit = math.prod(spacing) ** (1 / axes)
     tissue, relative = _stiffness(dice, shape, decades)
-    void, empty = _void(dice, shape)
+    is_small = has_cavity or has_parts
+    void, empty = _void(dice, shape, _VOIDS_OF_PARTS if is_small else _USUAL_VOIDS)
     m = np.where(empty, 0.0, relative * 10 ** dice.uniform(*_UNITS)).astype(np.float32)
     contents, labels = None, None
     if has_cavity:
@@ -195,7 +200,6 @@ def _drawn(
             m[...] = 1
     if has_parts:
         labels = _labels(dice, shape)
-    is_small = has_cavity or has_parts
     pieces = _pieces(m > 0, labels) if is_small else ndi.label(m > 0)[0]
     # In small problems, every piece of a part has sites that hold it, so that most are unique.
     seen, observed = _observed(dice, m > 0, pieces, 3 if is_small else axes)
@@ -330,10 +334,8 @@ def _beyond_ellipse(shape: Shape, size: float) -> Flags:
     return np.asarray(((_off(shape, middle) / sides) ** 2).sum(axis=0) > size)
 
 
-def _void(dice: Dice, shape: Shape) -> tuple[str, Flags]:
-    kind = str(
-        dice.choice(["none", "holes", "around", "specks", "gaps"], p=[0.55, 0.13, 0.14, 0.08, 0.1])
-    )
+def _void(dice: Dice, shape: Shape, shares: tuple[float, ...]) -> tuple[str, Flags]:
+    kind = str(dice.choice(_VOIDS, p=shares))
     empty = np.zeros(shape, dtype=bool)
     if kind == "holes":
         empty = _noise(dice, shape, dice.uniform(0.6, 4)) < dice.uniform(0.05, 0.4)
