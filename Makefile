@@ -9,10 +9,11 @@ PLUGINS := -p hypothesispytest -p napari -p pytest-qt -p timeout -p xdist
 # How many random problems `make trust` solves on each, and which.
 LOOPS ?= 5000
 SHADERS ?= 500
-VOLUMES ?= 300
+VOLUMES ?= 600
 SEED ?= 0
 # How many random problems `make cavities` solves.
-PROBLEMS ?= 2000
+PROBLEMS ?= 2500
+CAMPAIGN = OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(RUN) -m benchmarks.campaign --seed $(SEED)
 
 .DEFAULT_GOAL := help
 # A target is a command, also where a folder has its name.
@@ -93,32 +94,32 @@ paper: setup
 	@$(RUN) -m validation paper.table-1 paper.table-2
 
 trust: setup
-	@$(RUN) benchmarks/trust.py --loops $(LOOPS) --shaders $(SHADERS) --volumes $(VOLUMES) --seed $(SEED) $(if $(PAGE),--page $(PAGE))
+	@$(CAMPAIGN) images=$(LOOPS) volumes=$(VOLUMES)
+	@$(CAMPAIGN) images=$(SHADERS) --backend opengl
 
 cavities: setup
-	@OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(RUN) -m benchmarks.cavities_and_interfaces --problems $(PROBLEMS) --seed $(SEED)
+	@$(CAMPAIGN) parts=$(PROBLEMS)
 
 uncertainty: setup
 	@$(RUN) -m validation uncertainty
 
 edits: setup
-	@NUMBA_NUM_THREADS=1 $(RUN) benchmarks/live_edits.py --seed $(SEED) $(if $(PAGE),--page $(PAGE))
+	@$(CAMPAIGN) edits
 
 folds: setup
-	@NUMBA_NUM_THREADS=1 $(RUN) -m validation large-motion.random --count 3000
-	@$(RUN) -m validation large-volumes.random --count 1000
+	@$(CAMPAIGN) large-motion large-volumes
 
 soak: setup
-	@NUMBA_NUM_THREADS=1 $(RUN) benchmarks/volume_soak.py
+	@$(CAMPAIGN) memory
 
 damaged: setup
-	@$(RUN) benchmarks/damaged_fields.py --page docs/validation/damaged.md
+	@$(RUN) benchmarks/damaged.py --seed $(SEED)
 
 disks: setup
 	@$(RUN) benchmarks/full_disks.py --commands --page docs/validation/full-disks.md
 
 volumes: setup
-	@NUMBA_NUM_THREADS=1 $(RUN) benchmarks/random_volumes.py
+	@$(CAMPAIGN) volumes
 
 roofline: setup
 	@$(RUN) -m validation hardware.roofline

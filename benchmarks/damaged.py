@@ -1,10 +1,13 @@
-"""Robustness of reading damaged, foreign and malicious versions of a saved result or study.
+"""Robustness of reading damaged, foreign and malicious files.
 
-    python benchmarks/damaged.py [--of result] [--files 3000] [--seed 0]
+    python benchmarks/damaged.py [KIND ...] [--files 5000] [--seed 0]
 
-Prints how many files were refused, and which files took the most time and memory. Exits with 1 if a
-file was read with contents that were never saved, raised an exception other than `FileFormatError`,
-or took more than 2 s or 100 MB.
+A kind is "result", "study", or the suffix of an exchange file or of landmarks; by default all. Each
+version is read in this process, which must survive. Flipped bits in numbers without a checksum
+cannot be detected, so exchange files may be read with other values, unless they are truncated.
+Exits with 1 if any other file was read with contents that were never saved, an error was not one of
+the package's, a version took more than 2 s, or memory grew by more than 100 MB for a version of an
+archive, or by more than 20 MB over all versions of a kind.
 """
 
 from __future__ import annotations
@@ -28,6 +31,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import psutil
+import table
 
 from napari_hmrf import (
     Arrow,
@@ -46,10 +51,18 @@ from napari_hmrf import (
     write_study,
 )
 from napari_hmrf.data import phantom
-from napari_hmrf.fields import is_solution_file, is_study_file
+from napari_hmrf.fields import is_solution_file, is_study_file, read_field, write_field
+from napari_hmrf.io.fields import FIELD_SUFFIXES
+from napari_hmrf.io.landmark_files import POINT_SUFFIXES
+from napari_hmrf.landmarks import read_points, write_points
 
 MOST_SECONDS = 2.0
-MOST_BYTES = 100e6
+#: Largest accepted peak of one version of an archive, and growth over all versions of a kind.
+MOST_BYTES, MOST_GROWTH = 100e6, 20e6
+#: Size of the start of a file, in bytes, which describes its contents; a third of flips are there.
+_HEAD = 600
+#: Number of versions read before memory is measured, because libraries allocate memory once.
+_WARM_UP = 50
 
 _METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA)
 _LOCAL, _CENTRAL, _END = b"PK\x03\x04", b"PK\x01\x02", b"PK\x05\x06"
@@ -93,7 +106,8 @@ class Damaged:
     content : bytes
         Content of the damaged file.
     sealed : bool
-        True if all checksums are valid, as in a deliberately crafted file.
+        True if other contents cannot be detected: all checksums are valid, as in a deliberately
+        crafted file, or the format has none.
     """
 
     kind: str
@@ -115,11 +129,14 @@ def damaged(content: bytes, count: int, seed: int = 0) -> Iterator[Damaged]:
 
 
 class Kept(NamedTuple):
-    """Functions for a kind of file: detection, reading, writing, and comparison of contents."""
+    """Functions for a kind of file: detection, reading, writing, and comparison of contents.
+
+    Exchange files have no function for writing, as what is read is only compared.
+    """
 
     is_one: Callable[[Path], bool]
     load: Callable[[Path], Any]
-    save: Callable[[Path, Any], Path]
+    save: Callable[[Path, Any], Path] | None
     told: Callable[[Any], Any]
 
 
@@ -143,6 +160,8 @@ def look(path: Path, version: Damaged, original: Any, kept: Kept | None = None) 
     if told(found) == told(original):
         return "the same"
     assert version.sealed, f"{version.kind}: read with other contents"
+    if save is None:
+        return "another"
     again = load(save(path.with_name(f"again{path.suffix}"), found))
     assert told(again) == told(found), f"{version.kind}: different after saving it again"
     return "another"
@@ -171,12 +190,12 @@ SOLUTIONS = Kept(is_solution_file, Solution.read, lambda path, it: it.write(path
 STUDIES = Kept(is_study_file, read_study, lambda path, it: write_study(path, *it), plain)
 
 
-def _save_result(folder: Path) -> Path:
+def _save_result(path: Path) -> None:
     problem = phantom("expansion", 24).problem
-    return solve(problem, SeilerPrior(), backend="cpu").write(folder / "a.npz")
+    solve(problem, SeilerPrior(), backend="cpu").write(path)
 
 
-def _write_study(folder: Path) -> Path:
+def _write_study(path: Path) -> None:
     sample = phantom("mass-effect", 32)
     labels = sample.tissue_labels.astype(np.uint8)
     study = Study(
@@ -185,7 +204,7 @@ def _write_study(folder: Path) -> Path:
         Motion(hold_edge=True, drawing=Drawing((Arrow((16, 12), (0.5, 1), 2.0),))),
         pictures=Pictures(sample.image, labels, "t1"),
     )
-    return write_study(folder / "a.study", study, solve_study(study, backend="cpu"))
+    write_study(path, study, solve_study(study, backend="cpu"))
 
 
 def flipped(content: bytes, dice: random.Random) -> bytes:
@@ -339,44 +358,163 @@ def _with_header(members: dict[str, bytes], header: str) -> bytes:
     return _archive({**members, "header.npy": file.getvalue()}.items())
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Read all versions and print time, memory and outcomes."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--of", choices=("result", "study"), default="result")
-    parser.add_argument("--files", type=int, default=3000)
-    parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args(arguments)
+def _displacement() -> np.ndarray:
+    rows, cols = np.indices((40, 48)) / 40
+    return 2 * np.stack([np.sin(3 * rows), np.cos(2 * cols)], axis=-1)
+
+
+def make_field(path: Path) -> None:
+    """Write a field of one slice in a volume; .tfm files are written by SimpleITK instead."""
+    if path.suffix == ".tfm":
+        make_foreign(path)
+    else:
+        turn = np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
+        write_field(
+            path,
+            _displacement(),
+            spacing=(3.0, 1.3, 0.7),
+            origin=(-10.0, 20.0, 5.0),
+            direction=turn,
+            forward=path.suffix != ".h5",
+        )
+
+
+def make_foreign(path: Path) -> None:
+    """Write a field with SimpleITK only."""
+    import SimpleITK as sitk
+
+    image = sitk.GetImageFromArray(_displacement(), isVector=True)
+    image.SetSpacing((0.7, 1.3))
+    if path.suffix in (".h5", ".tfm"):
+        sitk.WriteTransform(sitk.DisplacementFieldTransform(image), str(path))
+    else:
+        sitk.WriteImage(image, str(path), useCompression=True)
+
+
+def make_landmarks(path: Path) -> None:
+    """Write pairs of landmarks, or a single list if the format does not support pairs."""
+    points = np.random.default_rng(0).normal(size=(40, 3))
+    write_points(path, points, points + 1 if path.suffix == ".csv" else None)
+
+
+def read_all(path: Path) -> tuple[Any, ...]:
+    """Return the vectors and geometry of a field, for comparison."""
+    found = read_field(path, forward=True)
+    field = found.field
+    vectors = field.vectors
+    place = (found.spacing, found.origin, found.direction.tobytes(), field.back)
+    return vectors.dtype.str, vectors.shape, vectors.tobytes(), *place
+
+
+def read_landmarks(path: Path) -> tuple[Any, ...]:
+    """Return the contents of a landmark file, for comparison."""
+    found = read_points(path)
+    targets = b"" if found.targets is None else found.targets.tobytes()
+    return found.points.tobytes(), targets, found.names, found.unit
+
+
+def _exchanged(read: Callable[[Path], Any]) -> Kept:
+    return Kept(lambda _: True, read, None, lambda contents: contents)
+
+
+class Kind(NamedTuple):
+    """Kind of file: its suffix, its writer, functions that read it, and whether it is text."""
+
+    suffix: str
+    make: Callable[[Path], None]
+    kept: Kept
+    is_text: bool = False
+
+    def versions(self, content: bytes, count: int, seed: int) -> Iterator[Damaged]:
+        """Yield damaged versions of a file."""
+        if self.kept.save is not None:
+            yield from damaged(content, count, seed)
+            return
+        dice = random.Random(seed)
+        for number in range(count):
+            kind = ("flips", "flips in the head", "flips", "cut", "torn")[number % 5]
+            sealed = kind != "cut" or self.is_text
+            if kind == "flips in the head":
+                version = flipped(content[:_HEAD], dice) + content[_HEAD:]
+            else:
+                version = {"flips": flipped, "cut": cut, "torn": torn}[kind](content, dice)
+            yield Damaged(kind, version, sealed)
+
+
+KINDS = {
+    "result": Kind(".npz", _save_result, SOLUTIONS),
+    "study": Kind(".study", _write_study, STUDIES),
+    **{
+        suffix: Kind(suffix, make_foreign, _exchanged(read_all))
+        for suffix in (*FIELD_SUFFIXES, ".tfm")
+    },
+    **{
+        suffix: Kind(suffix, make_landmarks, _exchanged(read_landmarks), is_text=True)
+        for suffix in POINT_SUFFIXES
+    },
+}
+_OUTCOMES = "refused", "the same", "another", "failed"
+
+
+def try_kind(kind: Kind, files: int, seed: int) -> tuple[list[Any], bool]:
+    """Read all versions of a kind; return the values of its row, and whether all is right."""
+    outcomes, slowest, hungriest, failed = Counter[str](), 0.0, 0, False
+    process, start, most = psutil.Process(), 0, 0
     with tempfile.TemporaryDirectory() as folder:
-        make, kept = (_write_study, STUDIES) if options.of == "study" else (_save_result, SOLUTIONS)
-        saved = make(Path(folder))
-        path = saved.with_stem("damaged")
-        original = kept.load(saved)
-        outcomes: Counter[tuple[str, str]] = Counter()
-        slowest: tuple[float, str] = (0.0, "")
-        hungriest: tuple[int, str] = (0, "")
-        failed = False
-        for number, version in enumerate(damaged(saved.read_bytes(), options.files, options.seed)):
+        whole = Path(folder, f"whole{kind.suffix}")
+        kind.make(whole)
+        original = kind.kept.load(whole)
+        for number, version in enumerate(kind.versions(whole.read_bytes(), files, seed)):
+            path = Path(folder, f"{number}{kind.suffix}")
             path.write_bytes(version.content)
-            what = f"file {number} ({version.kind}, {len(version.content)} bytes)"
+            what = f"{kind.suffix} {number} ({version.kind}, {len(version.content)} bytes)"
             started = time.perf_counter()
             try:
-                outcome = look(path, version, original, kept)
+                outcome = look(path, version, original, kind.kept)
             except Exception as error:  # noqa: BLE001 - unexpected errors are findings
                 outcome, failed = "failed", True
                 print(f"{what}: {type(error).__name__}: {error}"[:300])
-            slowest = max(slowest, (time.perf_counter() - started, what))
-            # Read again to trace memory, because tracing would distort the time.
-            tracemalloc.start()
-            with suppress(Exception):
-                look(path, version, original, kept)
-            hungriest = max(hungriest, (tracemalloc.get_traced_memory()[1], what))
-            tracemalloc.stop()
-            outcomes[version.kind, outcome] += 1
-    for (kind, outcome), count in sorted(outcomes.items()):
-        print(f"{kind:<16}  {outcome:<8}  {count:>5}")
-    print(f"slowest: {slowest[0] * 1e3:.1f} ms, {slowest[1]}")
-    print(f"hungriest: {hungriest[0] / 1e6:.1f} MB, {hungriest[1]}")
-    return int(failed or slowest[0] > MOST_SECONDS or hungriest[0] > MOST_BYTES)
+            taken = time.perf_counter() - started
+            slowest = max(slowest, taken)
+            if taken > MOST_SECONDS:
+                print(f"{what}: took {taken:.1f} s")
+            if kind.kept.save is not None:
+                # Read again to trace memory, because tracing would distort the time.
+                tracemalloc.start()
+                with suppress(Exception):
+                    look(path, version, original, kind.kept)
+                hungriest = max(hungriest, tracemalloc.get_traced_memory()[1])
+                tracemalloc.stop()
+            path.unlink()
+            size = process.memory_info().rss
+            start, most = (size, size) if number < _WARM_UP else (start, max(most, size))
+            outcomes[outcome] += 1
+    grown = most - start
+    right = not failed and slowest <= MOST_SECONDS and hungriest <= MOST_BYTES
+    # What tracing keeps of an archive is not memory of the reader.
+    right = right and (kind.kept.save is not None or grown <= MOST_GROWTH)
+    counts = [outcomes[outcome] for outcome in _OUTCOMES]
+    return [*counts, slowest, grown / 1e6, hungriest / 1e6 or None], right
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Read all versions and print the outcomes."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("kinds", nargs="*", metavar="KIND", help=", ".join(KINDS))
+    parser.add_argument("--files", type=int, default=5000, help="number of versions of each kind")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args(arguments)
+    if unknown := set(options.kinds) - set(KINDS):
+        parser.error(f"unknown kind: {', '.join(sorted(unknown))}; use {', '.join(KINDS)}")
+    titles = "longest time, s", "increase in memory, MB", "peak of a version, MB"
+    print(table.head(("kind", "refused", "read unchanged", "with changes", "errors", *titles)))
+    all_right = True
+    for name in options.kinds or KINDS:
+        values, is_right = try_kind(KINDS[name], options.files, options.seed)
+        print(table.line((name, *values)), flush=True)
+        all_right &= is_right
+    print("all right" if all_right else "NOT RIGHT")
+    return int(not all_right)
 
 
 if __name__ == "__main__":

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
 
 from napari_hmrf import Problem
 from napari_hmrf.loads import Loads
-from napari_hmrf.solver.neighbours import around_sites, in_elements
-from napari_hmrf.solver.unconnected import scraps
 
 Array = npt.NDArray[np.float64]
 
@@ -53,27 +50,3 @@ def growing_ball(size: int, factor: float) -> Problem:
     ball = np.linalg.norm(around, axis=0) <= size / 8
     loads = Loads(growth=np.where(ball, factor - 1, 0.0))
     return framed_volume(size, np.zeros_like(ball), np.zeros((*ball.shape, 3)), loads)
-
-
-def tissue_with_gaps(seed: int, axes: int = 2, sides: tuple[int, int] = (16, 50)) -> Problem:
-    """Return smoothed noise with gaps, necks and flaps, held at one side and moved at the other.
-
-    Parameters
-    ----------
-    seed : int
-    axes : int
-        2 for an image, 3 for a volume.
-    sides : tuple of int
-        Smallest side, and one more than the largest.
-    """
-    random = np.random.default_rng(seed)
-    shape = tuple(random.integers(*sides, axes))
-    width = (1.5, 4) if axes == 2 else (1.0, 2.5)
-    noise = ndimage.gaussian_filter(random.normal(size=shape), random.uniform(*width))
-    m = np.where(noise > 0.3 * random.uniform(0, 0.3), 0.0, 1.0)
-    y, c = np.zeros((2, *shape, axes))
-    c[0] = c[-1] = 1
-    y[-1] = 2 * random.normal(size=axes)
-    held = around_sites(in_elements(m > 0), np.logical_or)
-    problem = Problem(observed=y, confidence=c * held[..., None], stiffness=m * held)
-    return problem.with_rest(scraps(problem.tissue, problem.known))

@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import psutil
 import pytest
-from damaged_fields import make_field, make_foreign, read_all
+from damaged import make_field, make_foreign, read_all
 
 from napari_hmrf import FileFormatError
 from napari_hmrf.atomic_write import CANNOT_SAVE

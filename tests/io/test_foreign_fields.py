@@ -9,7 +9,7 @@ import struct
 
 import numpy as np
 import pytest
-from damaged_fields import make_field
+from damaged import make_field
 
 from napari_hmrf import FileFormatError
 from napari_hmrf.fields import read_field
@@ -158,7 +158,7 @@ def test_a_nifti_file_without_vectors_is_refused_as_a_field(tmp_path):
 
 @pytest.mark.parametrize("suffix", [".nii.gz", ".nii", ".mha", ".nrrd", ".h5", ".tfm"])
 def test_a_truncated_file_is_refused_as_a_field(suffix, tmp_path):
-    """Test truncation; `python benchmarks/damaged_fields.py` tests 2,000 files of each format."""
+    """Test truncation; `make damaged` tests thousands of files of each format."""
     whole, cut = tmp_path / f"a{suffix}", tmp_path / f"cut{suffix}"
     make_field(whole)
     content = whole.read_bytes()

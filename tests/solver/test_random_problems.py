@@ -2,27 +2,32 @@
 
 import numpy as np
 import pytest
-import trust
-from random_problems import random_problem
 
+from benchmarks import campaign as campaigns
 from napari_hmrf import Multigrid, solve
 from tests.support.opengl import require_opengl
+from validation.random_problems import dice_of, random_problem
 
 campaign = pytest.mark.campaign
+
+
+def outcome(seed, number):
+    (verdict,) = campaigns.judge_image(seed, number)
+    return verdict.outcome
 
 
 def test_random_problems_are_solved_on_the_cpu():
     # Of the first hundred, some whose exact solution is quick, of each energy.
     numbers = (1, 3, 7, 9, 10, 11, 12, 13, 21, 23, 82)
-    run = trust.campaign([(number, "cpu") for number in numbers])
-    assert len({verdict.reading for verdict in run.verdicts}) == 8
-    assert run.sound, trust.report(run)
+    run = campaigns.run("images", numbers)
+    assert len({verdict.kinds["energy"] for _, verdict in run.verdicts}) == 8
+    assert run.is_right, campaigns.report(run)
 
 
 def test_random_problems_are_solved_by_shaders():
     require_opengl()
-    run = trust.campaign([(number, "opengl") for number in range(6)])
-    assert run.sound, trust.report(run)
+    run = campaigns.run("images", range(6), backend="opengl")
+    assert run.is_right, campaigns.report(run)
 
 
 @pytest.mark.parametrize(
@@ -47,18 +52,16 @@ def test_random_problems_are_solved_by_shaders():
     ],
 )
 def test_the_most_difficult_known_problems_are_solved(number):
-    verdict = trust.judge(random_problem(0, number), "cpu")
-    assert verdict.outcome == "answered", verdict
+    assert outcome(0, number) == "right"
 
 
 @campaign
 def test_an_interior_point_method_does_not_cycle():
-    verdict = trust.judge(random_problem(7001, 2400), "cpu")
-    assert verdict.outcome == "answered", verdict
+    assert outcome(7001, 2400) == "right"
 
 
 def test_residuals_of_rounding_size_do_not_cause_repeated_solves():
-    drawn = random_problem(0, 3527)
+    drawn = random_problem(dice_of(0, 3527))
     said = []
     solve(
         drawn.problem,
@@ -73,13 +76,13 @@ def test_residuals_of_rounding_size_do_not_cause_repeated_solves():
 
 def test_intermediate_states_with_too_few_constraints_are_passed():
     """Some intermediate states move tissue by 367,727 px, where no residual meets the tolerance."""
-    assert trust.judge(random_problem(301, 1482), "cpu").outcome == "answered"
+    assert outcome(301, 1482) == "right"
 
 
 @campaign
 def test_slipping_tissue_is_solved_at_any_tolerance():
     # Interior points that start at the end of the exchanges converge at some tolerances only.
-    drawn = random_problem(7, 546)
+    drawn = random_problem(dice_of(7, 546))
     fields = [
         solve(drawn.problem, drawn.prior, optimizer=Multigrid(tolerance), backend="cpu")
         for tolerance in (1e-2, 1e-4)
@@ -88,4 +91,4 @@ def test_slipping_tissue_is_solved_at_any_tolerance():
 
 
 def test_an_interior_point_starts_with_sites_that_have_no_clique():
-    assert trust.judge(random_problem(403, 464), "cpu").outcome == "answered"
+    assert outcome(403, 464) == "right"

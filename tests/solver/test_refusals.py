@@ -2,11 +2,10 @@
 
 import warnings
 
-import live_edits
 import numpy as np
 import pytest
-from random_problems import random_problem
 
+from benchmarks import campaign
 from napari_hmrf import (
     ArgumentError,
     ConvergenceError,
@@ -18,10 +17,11 @@ from napari_hmrf import (
     SeilerPrior,
     solve,
 )
+from validation.random_problems import dice_of, random_problem
 
 
 def solve_drawn(seed, number):
-    drawn = random_problem(seed, number)
+    drawn = random_problem(dice_of(seed, number))
     return solve(drawn.problem, drawn.prior, optimizer=Multigrid(drawn.tolerance), backend="cpu")
 
 
@@ -94,6 +94,6 @@ def test_an_extreme_penalty_is_solved_without_warnings(penalty):
     ],
 )
 def test_live_results_agree_with_cold_solves(sequence):
-    answers = live_edits.judge(*sequence)
-    assert len(answers) > 3
-    assert not [solve_drawn for solve_drawn in answers if solve_drawn.is_violation]
+    verdicts = list(campaign.judge_edits(*sequence))
+    assert len(verdicts) > 3
+    assert not [verdict for verdict in verdicts if verdict.is_fault]

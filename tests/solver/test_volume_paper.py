@@ -6,7 +6,6 @@ from functools import partial
 import numba
 import numpy as np
 import pytest
-from random_volumes import random_volume
 
 from napari_hmrf import Multigrid, Problem, SeilerPrior, Solution, solve
 from napari_hmrf.errors import BackendError, Cancelled, ConvergenceError, ProblemError
@@ -24,6 +23,7 @@ from tests.support.cancel_flags import During
 from validation.oracles.followed import followed
 from validation.oracles.paper import line_weights as reference_weights
 from validation.oracles.paper import solve_exactly, total_energy
+from validation.random_problems import dice_of, random_problem
 
 CUBES, OBLONG = (1.0, 1.0, 1.0), (1.0, 1.7, 0.6)
 PRECISE = Multigrid(1e-3)
@@ -613,10 +613,6 @@ def test_unsupported_options_for_volumes_are_rejected():
 
 
 def test_a_volume_without_a_certain_error_bound_raises_an_error():
-    y, c, m, spacing, _ = random_volume(6)
+    drawn = random_problem(dice_of(0, 176), axes=3)
     with pytest.raises(ConvergenceError, match="no factorization is available"):
-        solve(
-            Problem(observed=y, confidence=c, stiffness=m, spacing=spacing),
-            SeilerPrior(),
-            optimizer=Multigrid(0.01),
-        )
+        solve(drawn.problem, SeilerPrior(), optimizer=Multigrid(0.01))

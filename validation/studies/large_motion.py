@@ -7,7 +7,6 @@ of an element. ``python benchmarks/speed.py large large-volume`` measures time a
 
 from __future__ import annotations
 
-import importlib
 import itertools
 import math
 from collections.abc import Callable, Iterator
@@ -278,26 +277,3 @@ def _surface(values: Field) -> Field:
     c = np.ones((*values.shape, 3))
     c[1:-1, 1:-1, 1:-1] = 0
     return c
-
-
-# Random problems.
-
-
-@study(
-    "large-volumes.random",
-    lambda options: {"volumes": ("random_large_volumes", options.first, options.count or 40)},
-    lambda results: [],
-    page="large-volumes.md",
-    on_request=True,
-)
-@study(
-    "large-motion.random",
-    lambda options: {"images": ("random_large_motion", options.first, options.count or 200)},
-    lambda results: [],
-    page="large-motion.md",
-    on_request=True,
-)
-def random(case: tuple[str, int, int]) -> None:
-    """Solve random problems, and print the numbers of folds, refusals and missed targets."""
-    module, first, count = case
-    importlib.import_module(f"benchmarks.{module}").run(first, count)
