@@ -73,8 +73,7 @@ _lent, _built = set(), set()
 _WINDOWS = {"make_napari_viewer", "make_napari_viewer_proxy"}
 #: Files with the slowest tests, which start first in a parallel run.
 _LONG = {
-    f"test_{name}.py"
-    for name in ("study_file", "trust", "cli", "report", "unsaved", "docks", "soak", "processes")
+    f"test_{name}.py" for name in ("study_file", "cli", "report", "unsaved", "docks", "processes")
 }
 
 if _NO_DISPLAY:

@@ -1,1 +1,1 @@
-"""Validation of the package: accuracy studies, and reference solutions that the tests share."""
+"""Validation of the package: accuracy studies, random problems and reference solutions."""

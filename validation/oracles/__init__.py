@@ -9,6 +9,7 @@ module              reference
 `paper`             cliques, energies and fields of Seiler et al.
 `literal`           the paper's algorithm, one move at a time
 `exact`             fields of images in 32 digits, with observations that slip, for `make trust`
+`parts`             cavities and sliding parts of small problems, by a dense system
 `calculix`          decks and fields of CalculiX, another program
 ==================  ================================================================================
 
