@@ -515,8 +515,12 @@ def _ends_farther(case: LargeMotion, found: Solution, gap: float) -> bool:
 
 
 def _gap(problem: Problem, displacement: Any) -> np.ndarray:
-    """Return the distance of each site from its target, in pixels."""
+    """Return the distance of each site from its target, in pixels.
+
+    A site in no element has no target of its own: it follows the tissue that takes its target.
+    """
     gap = np.where(problem.known, problem.observed - displacement.astype(np.float64), 0)
+    gap[~around_sites(in_elements(problem.tissue), np.logical_or)] = 0
     return np.asarray(np.linalg.norm(gap, axis=-1) / problem.unit)
 
 
