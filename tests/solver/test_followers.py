@@ -210,6 +210,9 @@ def test_a_mark_that_ends_on_a_tip_is_the_mark_of_the_tissue_beside_it():
     )
     np.testing.assert_allclose(solution.displacement[rim], observed[rim], atol=1e-6)
     assert solution.notes == ()
+    slips = Problem(observed=observed, confidence=0.7 * confidence, stiffness=mask * 1.0)
+    large = solve(slips, NeoHookeanPrior(penalty=100.0), backend="cpu")
+    assert large.reach.where is None, "the target of a tip counts as missed"
 
 
 def test_a_precision_at_a_spur_acts_on_the_tissue_at_its_root():

@@ -169,8 +169,10 @@ def converge(
         check_reach(d, problem)
     displacement, rounding, least = _returned(model, problem, d, tolerance)
     distance = newton.distance
-    missing = np.where(has_target, observed - d, 0.0)
-    reach = _reach(host.field(missing), host.field(observed), problem, tolerance, least, grown)
+    missing = host.field(np.where(has_target, observed - d, 0.0))
+    # A site in no element has no motion yet: it follows the tissue near it.
+    missing[~around_sites(in_elements(problem.tissue), np.logical_or)] = 0
+    reach = _reach(missing, host.field(observed), problem, tolerance, least, grown)
     estimate = distance.estimate
     if newton.ran_out:
         # Cycles that ended early may estimate more than any motion of the tissue.
