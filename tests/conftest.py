@@ -44,10 +44,6 @@ os.environ["NAPARI_HMRF_COMPILE"] = "here"
 os.environ["NAPARI_CONFIG"] = ""
 # A window makes hundreds of thousands of long-lived objects, so collect garbage less often.
 gc.set_threshold(300_000, 20, 20)
-if os.environ.get("CI"):
-    # A fresh machine has no compiled shaders. Mesa's software rasteriser compiles them in half of
-    # the time without optimization, but they then run more slowly.
-    os.environ.setdefault("GALLIVM_PERF", "nopt")
 if "PYTEST_XDIST_WORKER" in os.environ:
     # Parallel test processes use one core each. Tests of multithreading start processes of their
     # own, or use all threads explicitly. A rasterizer thread in Mesa 22.3 crashed, rarely, on a
