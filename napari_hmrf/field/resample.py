@@ -111,7 +111,7 @@ def _by_loop(
     moved = np.empty_like(values)
     fill = background.view(np.float64) if bits else background.astype(taken)
     images = loops.only_read(values), loops.only_read(smooth), gaps
-    places = [loops.only_read(np.ascontiguousarray(each)) for each in (source, covered)]
+    places = [loops.only_read(each) for each in (source, covered)]
     settings = nearest, kind.kind != "f", fill[()]
 
     def looked_up() -> bool:

@@ -27,6 +27,7 @@ import numpy.typing as npt
 
 from napari_hmrf.solver.backends import volume_caches
 from napari_hmrf.solver.backends.base import Checkpoint
+from napari_hmrf.solver.backends.compile_cache import loops
 from napari_hmrf.solver.backends.cpu.elastic_model import CpuElasticModel
 from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector
 from napari_hmrf.solver.backends.cpu.volume_model import CpuVolumeModel
@@ -238,8 +239,7 @@ class SlidingModel(HostModel):
         parts = []
         for box in coupling.boxes:
             checkpoint()
-            m = np.ascontiguousarray(material.m[box.unfolded])
-            m.setflags(write=False)
+            m = loops.only_read(material.m[box.unfolded])
             scale = stiffest(m) / most
             weights = data[(slice(None), *box.unfolded)] / scale
             of_part = _material(material, m, material.poisson, box.unfolded, weights)
@@ -250,8 +250,7 @@ class SlidingModel(HostModel):
             image = np.moveaxis(coupling.folded(own), -1, 0)
         nu = material.poisson
         if isinstance(nu, np.ndarray):
-            nu = coupling.folded(nu)
-            nu.setflags(write=False)
+            nu = loops.only_read(coupling.folded(nu))
         connected = _material(material, coupling.stiffness, nu, (), image)
         self._whole = _Component(connected, 1.0, checkpoint)
         self._level = SlidingLevel(grid, parts, self._whole, coupling, material.unit)
@@ -306,8 +305,7 @@ def _material(
 ) -> ElasticMaterial:
     """Return an ordinary material with the given stiffness and weights of the data term."""
     if isinstance(poisson, np.ndarray) and at:
-        poisson = np.ascontiguousarray(poisson[at])
-        poisson.setflags(write=False)
+        poisson = loops.only_read(poisson[at])
     data = DataTerm(planes(np.moveaxis(weights, 0, -1)))
     return ElasticMaterial(m, poisson, material.strain, material.shape, data)
 
