@@ -35,7 +35,7 @@ from napari_hmrf.fields import count_folds
 from napari_hmrf.solver.backends.cpu import layout
 from napari_hmrf.solver.backends.direct.factors import Factors
 from napari_hmrf.solver.live_solver import TOLERANCE, Update
-from napari_hmrf.solver.neighbours import around_sites, in_elements
+from napari_hmrf.solver.neighbours import sites_of_elements
 from validation.oracles.elasticity import direct_solution
 from validation.oracles.exact import Exact, exact_field
 from validation.oracles.exact.rank import free_motions
@@ -312,7 +312,7 @@ def judge_parts(seed: int, number: int, backend: str = "cpu") -> Iterator[Verdic
         return
     unit, of = drawn.problem.unit, found.convergence
     assert of is not None
-    whole = around_sites(in_elements(drawn.problem.stiffness), np.logical_or)
+    whole = sites_of_elements(drawn.problem.stiffness)
     error = float(np.abs(found.displacement / unit - exact)[whole].max())
     outcome = "right" if error <= _LARGEST else "wrong"
     if outcome == "right" and error > _TIMES * of.error + _GRACE:
@@ -520,7 +520,7 @@ def _gap(problem: Problem, displacement: Any) -> np.ndarray:
     A site in no element has no target of its own: it follows the tissue that takes its target.
     """
     gap = np.where(problem.known, problem.observed - displacement.astype(np.float64), 0)
-    gap[~around_sites(in_elements(problem.tissue), np.logical_or)] = 0
+    gap[~sites_of_elements(problem.tissue)] = 0
     return np.asarray(np.linalg.norm(gap, axis=-1) / problem.unit)
 
 

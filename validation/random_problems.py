@@ -20,7 +20,7 @@ import scipy.ndimage as ndi
 
 from napari_hmrf import ElasticPrior, NeoHookeanPrior, Problem, SeilerPrior
 from napari_hmrf.loads import Loads, cavity, growth, weight
-from napari_hmrf.solver.neighbours import around_sites, in_elements
+from napari_hmrf.solver.neighbours import around_sites, in_elements, sites_of_elements
 from napari_hmrf.solver.unconnected import scraps
 from napari_hmrf.tissue import SlidingParts
 from validation.oracles.large_motion import displaced_corners, smallest_jacobians
@@ -509,7 +509,7 @@ def tissue_with_gaps(seed: int, axes: int = 2, sides: tuple[int, int] = (16, 50)
     y, c = np.zeros((2, *shape, axes))
     c[0] = c[-1] = 1
     y[-1] = 2 * random.normal(size=axes)
-    held = around_sites(in_elements(m > 0), np.logical_or)
+    held = sites_of_elements(m > 0)
     problem = Problem(observed=y, confidence=c * held[..., None], stiffness=m * held)
     return problem.with_rest(scraps(problem.tissue, problem.known))
 

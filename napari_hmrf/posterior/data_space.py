@@ -31,7 +31,7 @@ import scipy
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.posterior.response import Response
 from napari_hmrf.solver.connected import connected
-from napari_hmrf.solver.neighbours import around_sites, in_elements
+from napari_hmrf.solver.neighbours import sites_of_elements
 from napari_hmrf.solver.optimizers import Monitor, Multigrid
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.problem import Problem, variant_of
@@ -133,7 +133,7 @@ def _of_sites(problem: Problem, energy: float) -> Iterator[Observations]:
     if problem.precision is None:
         return
     # The prior says nothing about lone pixels, which follow no other tissue.
-    inside = around_sites(in_elements(problem.tissue), np.logical_or)
+    inside = sites_of_elements(problem.tissue)
     at = np.flatnonzero(problem.precision.any(axis=(-2, -1)) & inside)
     axes = len(problem.shape)
     values, vectors = np.linalg.eigh(problem.precision.reshape(-1, axes, axes)[at])

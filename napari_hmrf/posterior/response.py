@@ -12,7 +12,7 @@ from napari_hmrf.posterior.forced import ForcedMultigrid, typical_size
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.connected import connected
 from napari_hmrf.solver.loads import Loads
-from napari_hmrf.solver.neighbours import around_sites, in_elements
+from napari_hmrf.solver.neighbours import sites_of_elements
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.priors.elements import lame_ratio
 from napari_hmrf.solver.problem import Problem, variant_of
@@ -59,7 +59,7 @@ class Response:
         self._problem = variant_of(problem, **at_rest)
         self._connected = connected(self._problem, prior)
         # Lone pixels follow no other tissue, and stay at rest.
-        self._lone = ~around_sites(in_elements(problem.tissue), np.logical_or)
+        self._lone = ~sites_of_elements(problem.tissue)
         self._moves = problem.tissue & ~problem.known.all(axis=-1)
 
     @property

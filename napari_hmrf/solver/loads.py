@@ -11,7 +11,7 @@ import numpy.typing as npt
 from napari_hmrf.arguments import reals, shown
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.followers import followers_of
-from napari_hmrf.solver.neighbours import around_sites, in_elements
+from napari_hmrf.solver.neighbours import sites_of_elements
 from napari_hmrf.solver.real_arrays import (
     FloatArray,
     as_float32,
@@ -171,7 +171,7 @@ class Loads:
                     f"has shape {self.force.shape}, but stiffness has shape {grid}, so "
                     f"{(*grid, axes)} is needed (one value per axis at each site).",
                 )
-            nowhere = self.force.any(axis=-1) & ~around_sites(in_elements(stiffness), np.logical_or)
+            nowhere = self.force.any(axis=-1) & ~sites_of_elements(stiffness)
             followers = followers_of(stiffness > 0) if nowhere.any() else None
             if followers is not None:
                 nowhere.reshape(-1)[followers.sites] = False

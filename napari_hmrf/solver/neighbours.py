@@ -62,3 +62,11 @@ def in_elements(m: Values) -> npt.NDArray[np.bool_]:
     ndarray of bool, shape (H - 1, W - 1) or (D - 1, H - 1, W - 1)
     """
     return of_corners(m > 0, np.logical_and)
+
+
+def sites_of_elements(m: Values) -> npt.NDArray[np.bool_]:
+    """Return a mask of the sites at a corner of a tissue element, of the shape of `m`.
+
+    Other tissue has no energy. It follows the tissue near it; see `followers`.
+    """
+    return around_sites(in_elements(m), np.logical_or)

@@ -18,7 +18,7 @@ import scipy
 
 from napari_hmrf.arguments import real, shown
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.neighbours import around_sites, in_elements
+from napari_hmrf.solver.neighbours import sites_of_elements
 from napari_hmrf.solver.precision import MAX_PRECISION
 from napari_hmrf.solver.problem import as_stiffness, checked_spacing
 from napari_hmrf.solver.real_arrays import as_float32, as_mask
@@ -114,7 +114,7 @@ def sliding_surface(
             "or volume for both.",
         )
     # Sites without an element, such as a spur one pixel wide, follow others and need no normal.
-    tissue = around_sites(in_elements(tissue), np.logical_or)
+    tissue = sites_of_elements(tissue)
     size = np.array(checked_spacing(spacing, tissue.ndim))
     size /= size.max()
     sites = np.zeros(tissue.shape, np.bool_)

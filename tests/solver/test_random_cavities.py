@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks import campaign
 from napari_hmrf import ElasticPrior, Problem, solve
-from napari_hmrf.solver.neighbours import around_sites, in_elements
+from napari_hmrf.solver.neighbours import sites_of_elements
 from napari_hmrf.tissue import SlidingParts
 from validation.oracles.parts import dense_solution, forces_of
 from validation.random_problems import dice_of, random_parts
@@ -49,7 +49,7 @@ def test_a_dozen_random_problems_have_the_field_of_a_dense_solution():
 def test_pieces_of_a_part_that_touch_at_a_corner_hold_each_other(picture):
     sites = np.array([list(line) for line in picture.split()])
     labels = (np.char.lower(sites) == "b").astype(np.int32)
-    whole = around_sites(in_elements(sites != "."), np.logical_or)
+    whole = sites_of_elements(sites != ".")
     problem = Problem(
         observed=np.random.default_rng(0).normal(size=(*sites.shape, 2)) / 5,
         confidence=np.repeat((np.char.isupper(sites) & whole)[..., None], 2, axis=-1),

@@ -21,7 +21,7 @@ from napari_hmrf.solver.backends.earlier_results import WarmStart
 from napari_hmrf.solver.backends.finite import FiniteModel
 from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
 from napari_hmrf.solver.backends.rigid.poses import Poses
-from napari_hmrf.solver.neighbours import around_sites, in_elements
+from napari_hmrf.solver.neighbours import sites_of_elements
 from napari_hmrf.solver.optimizers.base import (
     Convergence,
     LevelRun,
@@ -171,7 +171,7 @@ def converge(
     distance = newton.distance
     missing = host.field(np.where(has_target, observed - d, 0.0))
     # A site in no element has no motion yet: it follows the tissue near it.
-    missing[~around_sites(in_elements(problem.tissue), np.logical_or)] = 0
+    missing[~sites_of_elements(problem.tissue)] = 0
     reach = _reach(missing, host.field(observed), problem, tolerance, least, grown)
     estimate = distance.estimate
     if newton.ran_out:
@@ -241,7 +241,7 @@ def _coarse_start(
 
 def _reset_idle(problem: Problem, d: Planes) -> None:
     """Set the displacement of sites that Newton steps do not move to zero, in place."""
-    idle = ~around_sites(in_elements(problem.stiffness), np.logical_or)
+    idle = ~sites_of_elements(problem.stiffness)
     host.inside(d)[:, idle] = 0
 
 
