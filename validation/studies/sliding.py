@@ -72,12 +72,17 @@ class Case:
         )
 
 
-def plane(degrees: float, size: int = 64) -> Case:
-    """Return a block that is dragged along a tilted plane by its far side."""
+def _tilted(degrees: float, size: int) -> tuple[Array, Array, Array]:
+    """Return the normal and the direction of a tilted line, and the sites from the middle."""
     angle = np.radians(degrees)
     normal = np.array([np.cos(angle), -np.sin(angle)])
     along = np.array([np.sin(angle), np.cos(angle)])
-    place = np.moveaxis(np.indices((size, size)), 0, -1) - (size - 1) / 2
+    return normal, along, np.moveaxis(np.indices((size, size)), 0, -1) - (size - 1) / 2
+
+
+def plane(degrees: float, size: int = 64) -> Case:
+    """Return a block that is dragged along a tilted plane by its far side."""
+    normal, along, place = _tilted(degrees, size)
     depth = place @ normal - 0.2
     inner = depth < 0
     exact = np.where(inner[..., None], _SLIP * along, 0.0)
@@ -92,10 +97,7 @@ def plane(degrees: float, size: int = 64) -> Case:
 
 def wedge(degrees: float = 17.0, size: int = 64) -> Case:
     """Return a block that is pushed horizontally up a wedge, and is free to rise."""
-    angle = np.radians(degrees)
-    normal = np.array([np.cos(angle), -np.sin(angle)])
-    along = np.array([np.sin(angle), np.cos(angle)])
-    place = np.moveaxis(np.indices((size, size)), 0, -1) - (size - 1) / 2
+    normal, along, place = _tilted(degrees, size)
     depth = place @ normal - 6.2
     inner = depth < 0
     block = (place[..., 1] > -14) & (place[..., 1] < 12) & (place[..., 0] > -16)
