@@ -38,7 +38,7 @@ from napari_hmrf.solver.live_solver import TOLERANCE, Update
 from napari_hmrf.solver.neighbours import sites_of_elements
 from validation.oracles.elasticity import direct_solution
 from validation.oracles.exact import Exact, exact_field
-from validation.oracles.exact.rank import free_motions
+from validation.oracles.exact.equations import free_motions
 from validation.oracles.large_motion import smallest_jacobian
 from validation.oracles.paper import solve_exactly
 from validation.oracles.parts import dense_solution, forces_of

@@ -17,8 +17,8 @@ import numpy.typing as npt
 
 from napari_hmrf import ElasticPrior, Problem, SeilerPrior
 from napari_hmrf.solver.connected import connected
-from validation.oracles.exact.direct import Factors
-from validation.oracles.exact.matrices import Matrix, matrix_of
+from validation.oracles.exact.double_double import Factors, Matrix
+from validation.oracles.exact.equations import matrix_of
 from validation.oracles.exact.slip import Marks, balance, shortest
 
 #: Relative stiffness of a motion below which tissue is free to move.

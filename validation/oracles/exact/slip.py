@@ -24,8 +24,7 @@ import scipy.sparse
 from scipy.sparse import csgraph
 
 from validation.oracles.exact import double_double as dd
-from validation.oracles.exact.direct import Factors
-from validation.oracles.exact.matrices import Array, Matrix, Numbers
+from validation.oracles.exact.double_double import Array, Factors, Matrix, Numbers
 
 # Tolerance for contradictions of a state: in pixels, or as a fraction of the limit.
 _SLACK = 1e-10
