@@ -3,9 +3,9 @@
     python -m benchmarks.campaign images=5000 volumes=600 [--seed 0] [--first 0] [--backend opengl]
     python -m benchmarks.campaign images --only 123
 
-A name alone runs the usual number of problems. `validation/random_problems.py` draws the problems,
-and the functions that judge them describe the references and what is a fault. Prints the outcomes
-by kind of problem, and each fault with the command that repeats it. Exits with 1 if there is any.
+A name alone runs the usual number of problems. `validation/problems.py` draws the problems, and the
+functions that judge them describe the references and what is a fault. Prints the outcomes by kind
+of problem, and each fault with the command that repeats it. Exits with 1 if there is any.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from validation.oracles.exact.equations import free_motions
 from validation.oracles.large_motion import smallest_jacobian
 from validation.oracles.paper import solve_exactly
 from validation.oracles.parts import dense_solution, forces_of
-from validation.random_problems import (
+from validation.problems import (
     LargeMotion,
     RandomProblem,
     State,

@@ -1,14 +1,66 @@
-"""Problems that tests and benchmarks share."""
+"""Problems that tests, benchmarks and studies share: some with a known shape, and random ones.
+
+A function of random problems draws from a generator of NumPy, so a problem depends only on its
+seed; `dice_of` returns the generator of a problem of a campaign. Tissue, void, observations,
+displacements, pixels and priors are drawn by the same functions in images and volumes, and in
+problems with cavities and sliding parts.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
 import numpy as np
 import numpy.typing as npt
+import scipy.ndimage as ndi
 
-from napari_hmrf import Problem
-from napari_hmrf.loads import Loads
+from napari_hmrf import ElasticPrior, NeoHookeanPrior, Problem, SeilerPrior
+from napari_hmrf.loads import Loads, cavity, growth, weight
+from napari_hmrf.solver.neighbours import around_sites, in_elements, sites_of_elements
+from napari_hmrf.solver.unconnected import scraps
+from napari_hmrf.tissue import SlidingParts
+from validation.oracles.large_motion import displaced_corners, smallest_jacobians
 
 Array = npt.NDArray[np.float64]
+Flags = npt.NDArray[np.bool_]
+Labels = npt.NDArray[np.int32]
+Shape = tuple[int, ...]
+Dice = np.random.Generator
+Prior = ElasticPrior | SeilerPrior
+
+#: Largest side of an image and of a volume, and range of sides with cavities or parts, in sites.
+LARGEST, SIDES_OF_PARTS = {2: 64, 3: 13}, {2: (4, 17), 3: (3, 7)}
+#: Number of decades of the largest contrast of stiffness, and of that with cavities or parts.
+DECADES, DECADES_OF_PARTS = {2: 7.0, 3: 6.0}, 3.0
+# Range of decades of the unit of stiffness; units and pixel sizes are arbitrary.
+_UNITS = (-3.0, 6.0)
+# Kinds of priors of images, volumes, and tissue with cavities or parts, and their shares.
+_PRIORS = ("stress", "strain", "centred", "blanket")
+_IMAGES, _VOLUMES, _PARTS = (0.3, 0.3, 0.2, 0.2), (0.0, 0.65, 0.35, 0.0), (0.5, 0.5, 0.0, 0.0)
+# Kinds of void, their shares, and shares with cavities or parts, where specks make pieces of parts
+# that touch at corners.
+_VOIDS = ("none", "holes", "around", "specks", "gaps")
+_USUAL_VOIDS, _VOIDS_OF_PARTS = (0.55, 0.13, 0.14, 0.08, 0.1), (0.4, 0.1, 0.05, 0.35, 0.1)
+# Least Jacobian of a map from which targets of large motion are sampled.
+_LEAST = 0.2
+# Kinds of edits and their shares.
+_EDITS = {
+    "pull": 0.14,
+    "move": 0.3,
+    "let go": 0.05,
+    "confidence": 0.07,
+    "stiffness": 0.08,
+    "penalty": 0.05,
+    "poisson": 0.04,
+    "remove": 0.06,
+    "add": 0.04,
+    "growth": 0.06,
+    "undo": 0.11,
+}
 
 
 def bar(height: int, width: int, end: npt.ArrayLike, m: npt.ArrayLike = 1.0) -> Problem:
@@ -50,3 +102,651 @@ def growing_ball(size: int, factor: float) -> Problem:
     ball = np.linalg.norm(around, axis=0) <= size / 8
     loads = Loads(growth=np.where(ball, factor - 1, 0.0))
     return framed_volume(size, np.zeros_like(ball), np.zeros((*ball.shape, 3)), loads)
+
+
+def dice_of(*seeds: int) -> Dice:
+    """Return the generator of a problem of a campaign, from its seed and its number."""
+    return np.random.default_rng(seeds)
+
+
+@dataclass(frozen=True, eq=False)
+class Contents:
+    """Removed tissue, what fills it, and the weight of the other tissue.
+
+    Attributes
+    ----------
+    removed : ndarray of bool, shape (H, W) or (D, H, W)
+    gravity : ndarray, shape (2,) or (3,)
+        Weight of the tissue per volume.
+    pressure, fluid, level : float
+        As for `cavity`; the fluid presses downwards, along gravity.
+    """
+
+    removed: Flags
+    gravity: Array
+    pressure: float
+    fluid: float
+    level: float
+
+    def scaled(self, share: float) -> Contents:
+        """Return the contents with all forces multiplied by a number."""
+        forces = (share * each for each in (self.gravity, self.pressure, self.fluid))
+        return Contents(self.removed, *forces, self.level)
+
+    def loads(self, stiffness: npt.NDArray[Any], spacing: tuple[float, ...]) -> Loads:
+        """Return the loads of the package."""
+        down = self.gravity / np.linalg.norm(self.gravity)
+        return weight(stiffness, self.gravity, spacing=spacing) + cavity(
+            stiffness,
+            self.removed,
+            spacing=spacing,
+            pressure=self.pressure,
+            fluid=self.fluid * down,
+            level=self.level,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class RandomProblem:
+    """Problem, prior and tolerance, and their kinds.
+
+    Attributes
+    ----------
+    kinds : dict of str to str
+        Kinds of energy, tissue, void, observed sites, displacement and contrast.
+    arguments : dict
+        Arguments of `Problem`, which may refuse them.
+    prior : ElasticPrior or SeilerPrior
+    tolerance : float
+        Tolerance of `Multigrid`, in pixels.
+    contents : Contents, optional
+        Loads of a cavity.
+    """
+
+    kinds: dict[str, str]
+    arguments: dict[str, Any]
+    prior: Prior
+    tolerance: float
+    contents: Contents | None = None
+
+    @cached_property
+    def problem(self) -> Problem:
+        """Problem as accepted by the package."""
+        loads = None
+        if self.contents is not None:
+            loads = self.contents.loads(self.arguments["stiffness"], self.arguments["spacing"])
+        return Problem(**self.arguments, loads=loads)
+
+    def scaled(self, share: float) -> RandomProblem:
+        """Return the problem with all motion and all loads multiplied by a number."""
+        arguments = self.arguments | {"observed": share * self.arguments["observed"]}
+        contents = None if self.contents is None else self.contents.scaled(share)
+        return replace(self, arguments=arguments, contents=contents)
+
+    def __str__(self) -> str:
+        """Return a description in one line."""
+        size = " x ".join(map(str, self.arguments["stiffness"].shape))
+        spacing = self.arguments["spacing"]
+        longest = max(spacing) / min(spacing)
+        pixel = "" if longest == 1 else f", pixels {longest:.2g} times as long as wide"
+        poisson = getattr(self.prior, "poisson", None)
+        nu = "" if poisson is None else f", nu {np.ravel(poisson)[0]:.3g}"
+        nu += " and other" if isinstance(poisson, np.ndarray) else ""
+        held = "" if self.prior.penalty in (None, math.inf) else f", K {self.prior.penalty:.2g}"
+        kinds = ", ".join(f"{name} {kind}" for name, kind in self.kinds.items())
+        return f"{size}{pixel}, {kinds}{nu}{held}, tolerance {self.tolerance:g}"
+
+
+def random_problem(dice: Dice, axes: int = 2) -> RandomProblem:
+    """Return an image or a volume: typical problems of users, and unusual problems."""
+    shape = _shape(dice, axes, LARGEST[axes])
+    return _drawn(dice, shape, DECADES[axes], _IMAGES if axes == 2 else _VOLUMES)
+
+
+def random_parts(dice: Dice, axes: int, has_cavity: bool, has_parts: bool) -> RandomProblem:
+    """Return a small problem with a loaded cavity, parts that slide along each other, or both."""
+    while True:
+        shape = tuple(map(int, dice.integers(*SIDES_OF_PARTS[axes], axes)))
+        made = _drawn(dice, shape, DECADES_OF_PARTS, _PARTS, has_cavity, has_parts)
+        tissue = made.arguments["stiffness"] > 0
+        parts = made.arguments.get("sliding")
+        slides = parts is not None and len(np.unique(parts.labels[tissue])) > 1
+        empties = made.contents is not None and made.contents.removed.any()
+        is_held = made.arguments["confidence"].any()
+        if is_held and slides == has_parts and empties == has_cavity:
+            return made
+
+
+def _drawn(
+    dice: Dice,
+    shape: Shape,
+    decades: float,
+    priors: tuple[float, ...],
+    has_cavity: bool = False,
+    has_parts: bool = False,
+) -> RandomProblem:
+    """Return a problem, which may lack parts or a cavity."""
+    axes, spacing = len(shape), _spacing(dice, len(shape))
+    unit = math.prod(spacing) ** (1 / axes)
+    tissue, relative = _stiffness(dice, shape, decades)
+    is_small = has_cavity or has_parts
+    void, empty = _void(dice, shape, _VOIDS_OF_PARTS if is_small else _USUAL_VOIDS)
+    m = np.where(empty, 0.0, relative * 10 ** dice.uniform(*_UNITS)).astype(np.float32)
+    contents, labels = None, None
+    if has_cavity:
+        contents = _contents(dice, m, unit)
+        m[contents.removed] = 0
+        if not m.any():
+            m[...] = 1
+    if has_parts:
+        labels = _labels(dice, shape)
+    pieces = _pieces(m > 0, labels) if is_small else ndi.label(m > 0)[0]
+    # In small problems, every piece of a part has sites that hold it, so that most are unique.
+    seen, observed = _observed(dice, m > 0, pieces, 3 if is_small else axes)
+    if is_small:  # elsewhere, sites follow their tissue, and a dense system has no equation
+        observed &= (pieces > 0)[..., None]
+    moved, y = _displacement(dice, shape, observed.any(axis=-1))
+    if labels is not None and dice.random() < 0.5:
+        y = dice.normal(size=axes) * (labels[..., None] + np.indices(shape)[0][..., None] % 2)
+    # Limit displacements to less than half the image, because `Problem` refuses much larger ones.
+    across = math.hypot(*(side * size for side, size in zip(shape, spacing, strict=True)))
+    y *= min(10 ** dice.uniform(-1, 0.9) * unit, 0.4 * across) / max(float(np.abs(y).max()), 1e-9)
+    c = np.where(observed, _confidence(dice, observed.shape), 0.0)
+    prior, energy = _prior(dice, shape, priors)
+    tolerance = float(dice.choice([1e-3, 1e-2, 1e-4], p=[0.8, 0.1, 0.1]))
+    body = m[m > 0]
+    decade = math.floor(math.log10(body.max() / body.min()))
+    if axes == 3 and not is_small and isinstance(prior, ElasticPrior) and dice.random() < 0.3:
+        rigid = _noise(dice, shape, dice.uniform(0.6, 3)) > dice.uniform(0.8, 0.98)
+        m[rigid & (m > 0) & ~observed.any(axis=-1)] = np.inf
+    given = {"observed": y, "confidence": c, "stiffness": m, "spacing": spacing}
+    if labels is not None:
+        given["sliding"] = SlidingParts(labels)
+    kinds = {
+        "energy": energy,
+        "contrast": "uniform" if body.max() == body.min() else f"1e{decade}",
+        "tissue": f"{tissue}, rigid" if np.isinf(m).any() else tissue,
+        "void": void if empty.any() else "none",
+        "observations": seen,
+        "displacement": moved,
+    }
+    return RandomProblem(kinds, given, prior, tolerance, contents)
+
+
+def _shape(dice: Dice, axes: int, largest: int) -> Shape:
+    kind = dice.choice(["any", "strip", "large", "tiny"], p=[0.6, 0.2, 0.08, 0.12])
+    if kind == "strip":
+        thin = [int(dice.integers(1, 5)) for _ in range(axes - 1)]
+        sides = [*thin, int(dice.integers(largest // 8, largest + 1))]
+        dice.shuffle(sides)
+    elif kind == "large":
+        sides = list(dice.integers(largest * 5 // 8, largest + 1, axes))
+    elif kind == "tiny":
+        sides = list(dice.integers(1, 6, axes))
+    else:
+        sides = [int(2 ** dice.uniform(1, math.log2(largest))) for _ in range(axes)]
+    shape = tuple(map(int, sides))
+    return shape if math.prod(shape) > 1 else (2,) * axes
+
+
+def _spacing(dice: Dice, axes: int) -> tuple[float, ...]:
+    """Return the sides of a pixel, in any unit; half of the pixels are squares."""
+    ratio = 1.0 if dice.random() < 0.5 else 10 ** dice.uniform(-1, 1)
+    size = 1.0 if dice.random() < 0.5 else 10 ** dice.uniform(-2, 2)
+    if ratio == 1:
+        return (size,) * axes
+    sides = [size * math.sqrt(ratio), size / math.sqrt(ratio)]
+    if axes == 3:
+        sides.insert(int(dice.integers(3)), size)
+    return tuple(sides)
+
+
+def _noise(dice: Dice, shape: Shape, width: float) -> Array:
+    """Return smooth noise, evenly distributed from 0 to 1."""
+    values = ndi.gaussian_filter(dice.normal(size=shape), width, mode="reflect")
+    made = np.empty(values.size)
+    made[np.argsort(values, axis=None)] = np.linspace(0, 1, values.size)
+    return made.reshape(shape)
+
+
+def _stiffness(dice: Dice, shape: Shape, decades: float) -> tuple[str, Array]:
+    """Return the kind of stiffness, and stiffness from 1 to a random contrast."""
+    contrast = 10 ** dice.uniform(0, decades)
+    places = np.indices(shape)
+    kind = str(
+        dice.choice(
+            ["uniform", "blobs", "white", "smooth", "layers", "fibres", "board", "mixed"],
+            p=[0.12, 0.22, 0.1, 0.08, 0.12, 0.16, 0.1, 0.1],
+        )
+    )
+    if kind == "uniform":
+        share = np.zeros(shape)
+    elif kind == "blobs":
+        share = 1.0 * (_noise(dice, shape, dice.uniform(0.6, 6)) > dice.uniform(0.15, 0.85))
+    elif kind == "white":
+        share = dice.random(shape)
+    elif kind == "smooth":
+        share = _noise(dice, shape, dice.uniform(2, 8))
+    elif kind == "layers":
+        along = [*places, places.sum(axis=0)][dice.integers(len(shape) + 1)]
+        levels = dice.integers(2, 5)
+        share = (along // dice.integers(1, 9)) % levels / (levels - 1)
+    elif kind == "fibres":
+        share = _fibres(dice, shape)
+    elif kind == "board":
+        size = dice.integers(1, 5)
+        share = 1.0 * ((places // size).sum(axis=0) % 2)
+    else:
+        share = np.round(_noise(dice, shape, dice.uniform(0.6, 4)) * 3) / 3
+    if dice.random() < 0.3:
+        share = 1 - share
+    return kind, np.asarray(contrast**share)
+
+
+def _fibres(dice: Dice, shape: Shape) -> Array:
+    """Return a mask of a few straight lines in an image, or sheets in a volume."""
+    share, axes = np.zeros(shape), len(shape)
+    for _ in range(dice.integers(1, 7)):
+        turn, place = dice.uniform(0, math.pi), dice.random(axes) * shape
+        normal = np.array([math.cos(turn), math.sin(turn)])
+        if axes == 3:
+            tilt = dice.uniform(0, math.pi)
+            normal = np.array([math.cos(tilt), *(math.sin(tilt) * normal)])
+        off = sum(each * size for each, size in zip(_off(shape, place), normal, strict=True))
+        share[np.abs(off) < dice.choice([0.5, 1.0, 1.5])] = 1
+    return share
+
+
+def _off(shape: Shape, place: Any) -> Array:
+    """Return the position of each site relative to a place, shape (2, H, W) or (3, D, H, W)."""
+    return np.asarray(np.indices(shape) - np.reshape(place, (-1,) + (1,) * len(shape)))
+
+
+def _ball(dice: Dice, shape: Shape, least: float, most: float, place: Any = None) -> Flags:
+    """Return the mask of a disc or a ball with a random radius, at a random place by default."""
+    place = dice.random(len(shape)) * shape if place is None else place
+    return np.asarray(np.linalg.norm(_off(shape, place), axis=0) < dice.uniform(least, most))
+
+
+def _beyond_ellipse(shape: Shape, size: float) -> Flags:
+    """Return the mask of sites outside an ellipse of the proportions of the grid."""
+    middle, sides = (np.array(shape) - 1) / 2, np.reshape(shape, (-1,) + (1,) * len(shape))
+    return np.asarray(((_off(shape, middle) / sides) ** 2).sum(axis=0) > size)
+
+
+def _void(dice: Dice, shape: Shape, shares: tuple[float, ...]) -> tuple[str, Flags]:
+    kind = str(dice.choice(_VOIDS, p=shares))
+    empty = np.zeros(shape, dtype=bool)
+    if kind == "holes":
+        empty = _noise(dice, shape, dice.uniform(0.6, 4)) < dice.uniform(0.05, 0.4)
+    elif kind == "around":
+        empty = _beyond_ellipse(shape, dice.uniform(0.18, 0.35))
+    elif kind == "specks":
+        empty = dice.random(shape) < dice.uniform(0.01, 0.2)
+    elif kind == "gaps":
+        empty = _fibres(dice, shape) > 0
+    if empty.all():
+        empty[...] = False
+    return kind, empty
+
+
+def _contents(dice: Dice, m: npt.NDArray[np.float32], unit: float) -> Contents:
+    """Return an ellipsoid of tissue to be removed, and random weight, pressure and fluid."""
+    axes, sides = m.ndim, np.array(m.shape)
+    middle = dice.uniform(0.2, 0.8, axes) * (sides - 1)
+    radii = dice.uniform(0.1, 0.35, axes) * sides + 0.4
+    inside = ((_off(m.shape, middle) / radii.reshape(-1, *(1,) * axes)) ** 2).sum(axis=0) <= 1
+    soft = float(np.median(m[m > 0]))
+    return Contents(
+        removed=inside & (m > 0),
+        gravity=dice.normal(size=axes) * 0.02 * soft / unit,
+        pressure=float(dice.normal() * 0.05 * soft) if dice.random() < 0.5 else 0.0,
+        fluid=float(dice.uniform(0, 0.05) * soft / unit) if dice.random() < 0.7 else 0.0,
+        level=float(dice.uniform(0, 1.3)),
+    )
+
+
+def _labels(dice: Dice, shape: Shape) -> Labels:
+    """Return labels of two or three parts, between straight or bent interfaces."""
+    if dice.random() < 0.4:
+        middle, tilt = (np.array(shape) - 1) / 2, dice.normal(size=len(shape))
+        return np.asarray(np.tensordot(tilt, _off(shape, middle), 1) > 0, np.int32)
+    points = dice.random((int(dice.integers(2, 4)), len(shape))) * shape
+    away = [np.linalg.norm(_off(shape, point), axis=0) for point in points]
+    return np.argmin(away, axis=0).astype(np.int32)
+
+
+def _pieces(tissue: Flags, labels: Labels | None) -> Labels:
+    """Return numbers of the pieces of each part; 0 at sites without an element."""
+    of_elements = around_sites(ndi.label(in_elements(tissue))[0], np.maximum)
+    several = of_elements if labels is None else of_elements * (labels.max() + 1) + labels
+    numbers = np.unique(np.where(of_elements > 0, several, 0), return_inverse=True)[1]
+    return numbers.reshape(tissue.shape).astype(np.int32)
+
+
+def _observed(dice: Dice, tissue: Flags, pieces: Labels, least: int) -> tuple[str, Flags]:
+    """Return the kind and the mask of observed components, at least one of them in tissue.
+
+    In most problems, all components of at least `least` sites of each piece are observed.
+    """
+    shape, axes = tissue.shape, tissue.ndim
+    kind = str(
+        dice.choice(
+            ["edges", "patches", "pixels", "random", "outline", "everywhere"],
+            p=[0.3, 0.2, 0.15, 0.2, 0.12, 0.03],
+        )
+    )
+    sites = np.zeros(shape, dtype=bool)
+    if kind == "edges":
+        for edge in dice.permutation(2 * axes)[: dice.integers(1, 2 * axes + 1)]:
+            sites.swapaxes(0, edge // 2)[-(edge % 2)] = True
+    elif kind == "patches":
+        for _ in range(dice.integers(1, 7)):
+            sites |= _ball(dice, shape, 0.8, 1 + 0.2 * max(shape))
+    elif kind == "pixels":
+        at = np.argwhere(tissue)
+        sites[tuple(at[dice.integers(len(at), size=dice.integers(1, 11))].T)] = True
+    elif kind == "random":
+        sites = dice.random(shape) < 10 ** dice.uniform(-2, -0.2)
+    elif kind == "outline":
+        sites = tissue & ~ndi.binary_erosion(tissue)
+    else:
+        sites[...] = True
+    observed = np.repeat(sites[..., None], axes, axis=-1)
+    how = dice.choice(["both", "one", "either"], p=[0.6, 0.15, 0.25])
+    if how == "one":
+        observed[..., dice.integers(axes)] = False
+    elif how == "either":
+        observed &= dice.random(observed.shape) < dice.uniform(0.3, 0.9)
+    if dice.random() < 0.85:
+        _hold_pieces(dice, pieces, observed, least)
+    if not (observed & tissue[..., None]).any():
+        observed[tuple(dice.choice(np.argwhere(tissue)))] = True
+    return kind, observed
+
+
+def _hold_pieces(dice: Dice, pieces: Labels, observed: Flags, least: int) -> None:
+    """Observe `least` sites or one more of each piece with fewer observed sites, in place."""
+    full = observed.all(axis=-1)
+    for number in range(1, int(pieces.max(initial=0)) + 1):
+        at = np.argwhere(pieces == number)
+        if (full & (pieces == number)).sum() < least:
+            for site in at[dice.permutation(len(at))[: dice.integers(least, least + 2)]]:
+                observed[tuple(site)] = True
+
+
+def _displacement(dice: Dice, shape: Shape, sites: Flags) -> tuple[str, Array]:
+    """Return the kind of displacement, and a displacement of arbitrary size."""
+    grid, axes = np.indices(shape) / max(shape), len(shape)
+    kind = str(dice.choice(["smooth", "random", "pushed", "bent"], p=[0.3, 0.25, 0.3, 0.15]))
+    if kind == "smooth":
+        matrix, shift = dice.normal(size=(axes, axes)), dice.normal(size=axes)
+        y = np.moveaxis(np.tensordot(matrix, grid - 0.5, 1), 0, -1) + 0.3 * shift
+    elif kind == "random":
+        y = dice.normal(size=(*shape, axes))
+    elif kind == "bent":
+        waves = [_noise(dice, shape, max(shape) / 4) - 0.5 for _ in range(axes)]
+        y = np.stack(waves, axis=-1)
+    else:
+        pieces, count = ndi.label(sites)
+        pushes = dice.normal(size=(count + 1, axes)) * (dice.random((count + 1, 1)) < 0.6)
+        if count == 1:
+            steps = np.arange(max(shape) + 1)
+            pushes = dice.normal(size=(len(steps), axes)) * (steps > 1)[:, None]
+            pieces = np.indices(shape)[int(np.argmax(shape))] // max(1, max(shape) // 3)
+        y = pushes[pieces]
+    return kind, np.array(y, dtype=np.float64)
+
+
+def _confidence(dice: Dice, shape: Shape) -> Array:
+    kind = dice.choice(["full", "any", "steps", "wide"], p=[0.5, 0.25, 0.15, 0.1])
+    if kind == "full":
+        return np.ones(shape)
+    if kind == "steps":
+        return dice.choice([0.25, 0.5, 1.0], shape)
+    if kind == "wide":
+        return np.asarray(10 ** dice.uniform(-3, 0, shape))
+    return 1 - dice.random(shape)
+
+
+def _prior(dice: Dice, shape: Shape, shares: tuple[float, ...]) -> tuple[Prior, str]:
+    """Return a prior and its name; observations slip in images only."""
+    kind = str(dice.choice(_PRIORS, p=shares))
+    may_slip = shares == _IMAGES
+    penalty = (
+        None if dice.random() < (0.45 if may_slip else 1) else float(10 ** dice.uniform(-3, 4))
+    )
+    how = "held" if penalty is None else "slips"
+    if kind in ("centred", "blanket"):
+        return SeilerPrior(penalty=penalty, conditional=kind), f"{kind}, {how}"
+    nu = dice.choice([0.0, 0.3, 0.45, 0.49, 0.499, dice.uniform(0, 0.499)])
+    poisson = float(nu)
+    if dice.random() < 0.25:
+        other = dice.uniform(0, 0.499)
+        share = _noise(dice, shape, dice.uniform(0.6, 5))
+        share = share if dice.random() < 0.5 else 1.0 * (share > 0.5)
+        # Round as `ElasticPrior` does, because it stores a map in single precision.
+        poisson = np.clip(nu + share * (other - nu), 0, 0.499).astype(np.float32)
+    return ElasticPrior(poisson, plane=kind, penalty=penalty or math.inf), f"elastic {kind}, {how}"
+
+
+def tissue_with_gaps(seed: int, axes: int = 2, sides: tuple[int, int] = (16, 50)) -> Problem:
+    """Return smoothed noise with gaps, necks and flaps, held at one side and moved at the other.
+
+    Parameters
+    ----------
+    seed : int
+    axes : int
+        2 for an image, 3 for a volume.
+    sides : tuple of int
+        Smallest side, and one more than the largest.
+    """
+    random = np.random.default_rng(seed)
+    shape = tuple(random.integers(*sides, axes))
+    width = (1.5, 4) if axes == 2 else (1.0, 2.5)
+    noise = ndi.gaussian_filter(random.normal(size=shape), random.uniform(*width))
+    m = np.where(noise > 0.3 * random.uniform(0, 0.3), 0.0, 1.0)
+    y, c = np.zeros((2, *shape, axes))
+    c[0] = c[-1] = 1
+    y[-1] = 2 * random.normal(size=axes)
+    held = sites_of_elements(m > 0)
+    problem = Problem(observed=y, confidence=c * held[..., None], stiffness=m * held)
+    return problem.with_rest(scraps(problem.tissue, problem.known))
+
+
+class State(NamedTuple):
+    """Problem and prior that are being edited."""
+
+    problem: Problem
+    prior: Prior
+
+
+def mild_tissue(dice: Dice) -> State:
+    """Return a body of mild tissue with prescribed edges, as in typical use."""
+    shape = tuple(dice.integers(16, 81, 2))
+    m = 10 ** (dice.uniform(0, 2) * (_noise(dice, shape, dice.uniform(1, 6)) > dice.random()))
+    if dice.random() < 0.3:
+        m[_noise(dice, shape, dice.uniform(2, 6)) < dice.uniform(0.02, 0.2)] = 0
+    y, c = np.zeros((2, *shape, 2))
+    for edge in dice.permutation(4)[: dice.integers(1, 5)]:
+        c.swapaxes(0, edge // 2)[-(edge % 2)] = 1
+    c[m == 0] = 0
+    spacing = (1.0, 1.0) if dice.random() < 0.6 else tuple(dice.uniform(0.5, 2, 2))
+    nu, plane = float(dice.choice([0.0, 0.3, 0.45, 0.49])), str(dice.choice(["stress", "strain"]))
+    penalty = math.inf if dice.random() < 0.6 else float(10 ** dice.uniform(-2, 2))
+    prior: Prior = ElasticPrior(nu, plane=plane, penalty=penalty)
+    if dice.random() < 0.25:
+        prior = SeilerPrior(conditional=str(dice.choice(["centred", "blanket"])))
+    return State(Problem(observed=y, confidence=c, stiffness=m, spacing=spacing), prior)
+
+
+def edits_of(start: State, dice: Dice) -> Iterator[tuple[str, State]]:
+    """Yield the kind of each edit and the state after it; the first has the kind "begin"."""
+    state = start
+    history, patch = [state], np.zeros(state.problem.shape, dtype=bool)
+    pull = np.zeros(2)
+    yield "begin", state
+    for _ in range(int(dice.integers(3, 12))):
+        kind = str(dice.choice([*_EDITS], p=[*_EDITS.values()]))
+        if kind == "undo":
+            back = int(dice.integers(1, 4))
+            state = history[-1 - min(back, len(history) - 1)]
+        else:
+            if kind == "pull" or not patch.any():
+                patch, pull = _patch(dice, state.problem), dice.normal(size=2)
+                pull *= 10 ** dice.uniform(-1.5, 0.7)
+            elif kind == "move":
+                pull = pull + dice.normal(size=2) * 10 ** dice.uniform(-2, 0)
+            state = _edited(kind, state, patch, pull, dice)
+        history.append(state)
+        yield kind, state
+
+
+def _patch(dice: Dice, problem: Problem) -> Flags:
+    """Return the mask of a disc around a random tissue site."""
+    at = dice.choice(np.argwhere(problem.tissue))
+    return _ball(dice, problem.shape, 0.5, 1 + max(problem.shape) / 8, at)
+
+
+def _edited(kind: str, state: State, patch: Flags, pull: Array, dice: Dice) -> State:
+    """Return the state after an edit."""
+    problem, prior = state
+    loads = problem.loads
+    y, c, m = (
+        np.array(each, dtype=np.float64)
+        for each in (problem.observed, problem.confidence, problem.stiffness)
+    )
+    if kind in ("pull", "move"):
+        y[patch] = pull * problem.unit
+        c[patch] = 1
+    elif kind == "let go":
+        c[patch] = 0
+    elif kind == "confidence":
+        c[patch] = dice.uniform(0.01, 1)
+    elif kind == "stiffness":
+        m[patch] *= 10 ** dice.uniform(-2, 2)
+    elif kind == "penalty":
+        prior = replace(prior, penalty=float(10 ** dice.uniform(-2, 3)))
+    elif kind in ("remove", "add"):
+        place = _patch(dice, problem)
+        m[place] = 0 if kind == "remove" else np.where(m > 0, m, np.median(m[m > 0]))[place]
+    elif isinstance(prior, ElasticPrior) and kind == "growth":
+        place = np.where(_patch(dice, problem), dice.uniform(-0.2, 0.3), 0)
+        loads = growth(place) if loads is None else loads + growth(place)
+    elif isinstance(prior, ElasticPrior):
+        prior = replace(prior, poisson=float(dice.choice([0.0, 0.3, 0.45, 0.49])))
+    given = {"observed": y, "confidence": c, "stiffness": m, "spacing": problem.spacing}
+    return State(Problem(**given, loads=loads), prior)
+
+
+class LargeMotion(NamedTuple):
+    """Problem of large motion, its prior, and the kind of its targets.
+
+    Targets of the kind "known map" are sampled from a map without folds.
+    """
+
+    problem: Problem
+    prior: NeoHookeanPrior
+    kind: str
+
+
+def random_large_motion(dice: Dice, axes: int, known: bool) -> LargeMotion:
+    """Return an image or a volume with targets; if `known`, those of a map without folds."""
+    shape = tuple(map(int, dice.integers(*((12, 49) if axes == 2 else (8, 19)), axes)))
+    spacing, most = (1.0,) * axes, 4 - axes  # decades of 2
+    if dice.random() < 0.5:  # oblong pixels, in any unit
+        spacing = tuple(map(float, 2 ** dice.uniform(-most, most, axes)))
+    m = _large_tissue(dice, shape, known)
+    tissue, rigid, size = m > 0, np.isinf(m), min(shape)
+    c, y = np.zeros((2, *shape, axes))
+    c[..., 0, :] = 1
+    if dice.random() < 0.5:
+        c[~_inner(shape, 1)] = 1
+    c[~tissue] = 0
+    kinds = ["drag", "rim", "none", "landmarks", *(["bend"] if axes == 2 else [])]
+    kind = str(dice.choice(kinds))
+    at = _targets(dice, shape, kind) & tissue & ~rigid
+    if known:
+        held = c.any(axis=-1) | at
+        y[held] = _smooth_map(dice, shape)[held]
+    elif kind == "drag":
+        y[at] = dice.normal(size=axes) * size / 6 * dice.choice([1, 1, 8 / axes])
+    elif kind == "rim" and at.any():
+        sites = np.argwhere(at)
+        y[at] = (sites - sites.mean(axis=0)) * dice.uniform(-0.5, 2 - axes / 4)
+    elif kind == "bend":
+        y[at] = turned(*shape, float(dice.uniform(20, 90)))[at[:, -1]]
+    else:
+        y[at] = dice.normal(size=(int(at.sum()), axes)) * (4 - axes)
+    moves, sides = y * np.array(spacing), np.array(shape) * spacing
+    # Targets far beyond the image are refused.
+    farthest = float(np.linalg.norm(moves, axis=-1).max())
+    moves *= min(1.0, 1.99 * float(np.linalg.norm(sides)) / max(farthest, 1e-9))
+    penalty = math.inf
+    c[at] = 1
+    if not known and not rigid.any() and dice.random() < 0.3:
+        penalty = float(10 ** dice.uniform(-2, 1))
+        c[at] = dice.uniform(0.3, 1)
+    prior = NeoHookeanPrior(
+        float(dice.choice([0.0, 0.3, 0.45, 0.49])),
+        plane="stress" if axes == 2 and dice.random() < 0.5 else "strain",
+        penalty=penalty,
+    )
+    loads = None
+    if dice.random() < 0.4:  # a disc of half to four times its length, or a ball of twice
+        strain = dice.uniform(-0.5, 7 - 2 * axes if dice.random() < 0.5 else 0.5)
+        along = dice.normal(size=axes) if dice.random() < 0.2 else None
+        loads = growth(strain * (_ball(dice, shape, 2, size / 2) & ~rigid), along=along)
+    problem = Problem(observed=moves, confidence=c, stiffness=m, spacing=spacing, loads=loads)
+    return LargeMotion(problem, prior, "known map" if known else kind)
+
+
+def _inner(shape: Shape, margin: int) -> Flags:
+    """Return the mask of sites that are farther than `margin` from the nearest face."""
+    inner = np.zeros(shape, np.bool_)
+    inner[(slice(margin, -margin),) * len(shape)] = True
+    return inner
+
+
+def _large_tissue(dice: Dice, shape: Shape, known: bool) -> Array:
+    """Return stiffness of several values, with holes, a border of air and rigid bodies."""
+    m, size, axes = np.ones(shape), min(shape), len(shape)
+    decades = dice.choice([1.0, 3.0, 6.0 - axes])
+    for _ in range(int(dice.integers(0, 4))):
+        m[_ball(dice, shape, 2, max(shape) / 3)] = 10 ** dice.uniform(0, decades)
+    if dice.random() < 0.4:
+        for _ in range(int(dice.integers(1, 4))):
+            m[_ball(dice, shape, 1, size / 5)] = 0
+    if dice.random() < 0.2:
+        m[_beyond_ellipse(shape, dice.uniform(0.25, 0.4))] = 0
+    if not known and dice.random() < 0.35:
+        m[_ball(dice, shape, 1.5, size / 5) & _inner(shape, axes - 1) & (m > 0)] = np.inf
+    return m
+
+
+def _targets(dice: Dice, shape: Shape, kind: str) -> Flags:
+    """Return the mask of the sites with a target."""
+    at = np.zeros(shape, np.bool_)
+    if kind in ("drag", "rim"):
+        centre = dice.uniform(1 / 3, 2 / 3, len(shape)) * shape
+        ball = _ball(dice, shape, 2, max(min(shape) / 6, 3), centre)
+        return ball if kind == "drag" else ball & ~ndi.binary_erosion(ball)
+    if kind == "bend":
+        at[:, -1] = True
+    elif kind == "landmarks":
+        count = int(dice.integers(2, 10))
+        at[tuple(dice.integers(2, side - 2, count) for side in shape)] = True
+    return at
+
+
+def _smooth_map(dice: Dice, shape: Shape) -> Array:
+    """Return a map of waves, in pixels, scaled down until it has no folds."""
+    waves, size = np.zeros((*shape, len(shape))), min(shape)
+    for _ in range(4):
+        k, phase = dice.uniform(-6, 6, len(shape)) / size, dice.uniform(0, 6)
+        wave = np.sin(np.tensordot(k, np.indices(shape), 1) + phase)
+        waves += dice.normal(size=len(shape)) * wave[..., None]
+    strength = size / 4
+    while smallest_jacobians(displaced_corners(strength * waves), 5).min() < _LEAST:
+        strength *= 0.9
+    return strength * waves

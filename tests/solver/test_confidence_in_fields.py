@@ -12,7 +12,7 @@ from napari_hmrf.data import phantom
 from tests.support.cancel_flags import During
 from tests.support.opengl import require_opengl
 from validation.oracles.elasticity import direct_solution
-from validation.random_problems import tissue_with_gaps
+from validation.problems import tissue_with_gaps
 
 PRIOR = ElasticPrior(0.3)
 

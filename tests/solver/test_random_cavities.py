@@ -8,7 +8,7 @@ from napari_hmrf import ElasticPrior, Problem, solve
 from napari_hmrf.solver.neighbours import sites_of_elements
 from napari_hmrf.tissue import SlidingParts
 from validation.oracles.parts import dense_solution, forces_of
-from validation.random_problems import dice_of, random_parts
+from validation.problems import dice_of, random_parts
 
 #: Parts "a" and "b" with pieces that touch at a corner only. "." is void; capitals are held.
 TOUCHING = {

@@ -6,7 +6,7 @@ import pytest
 from benchmarks import campaign as campaigns
 from napari_hmrf import Multigrid, solve
 from tests.support.opengl import require_opengl
-from validation.random_problems import dice_of, random_problem
+from validation.problems import dice_of, random_problem
 
 campaign = pytest.mark.campaign
 

@@ -17,7 +17,7 @@ from napari_hmrf import (
     SeilerPrior,
     solve,
 )
-from validation.random_problems import dice_of, random_problem
+from validation.problems import dice_of, random_problem
 
 
 def solve_drawn(seed, number):

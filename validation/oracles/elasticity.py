@@ -32,7 +32,7 @@ from scipy.sparse.linalg import SuperLU, splu
 from skfem.helpers import ddot, div, sym_grad
 
 from napari_hmrf import ElasticPrior, Problem
-from validation.oracles.followed import followed
+from validation.oracles import followed
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]

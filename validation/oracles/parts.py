@@ -20,7 +20,7 @@ from napari_hmrf.solver.interface_normals import interface_normals
 from validation.oracles.elasticity import element_matrices
 
 if TYPE_CHECKING:
-    from validation.random_problems import Contents
+    from validation.problems import Contents
 
 Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]

@@ -11,8 +11,8 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 
 from napari_hmrf.solver.unfolded import unfolded
+from validation.oracles import followed
 from validation.oracles.elasticity import load_vector, stiffness_matrix
-from validation.oracles.followed import followed
 
 
 def interpolation(points, grid) -> sp.csr_array:

@@ -16,9 +16,20 @@ from napari_hmrf.solver.priors.elastic import Plane
 from validation.oracles import calculix
 from validation.oracles.elasticity import direct_solution
 from validation.oracles.paper import solve_exactly
-from validation.pictures import COLOURS, draw_differences, draw_grid, new_figure, save
 from validation.studies.paper import PHANTOMS, bar_strain_ratio
-from validation.study import Options, Results, Table, Target, order, study
+from validation.study import (
+    COLOURS,
+    Options,
+    Results,
+    Table,
+    Target,
+    draw_differences,
+    draw_grid,
+    new_figure,
+    order,
+    save,
+    study,
+)
 
 Float64Array = npt.NDArray[np.float64]
 POISSON = 0.3

@@ -32,10 +32,8 @@ from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.quadtree import levels, nearest_pixels
 from validation.oracles.elasticity import assemble, direct_solution
-from validation.oracles.literal import prolong, solve_literally
-from validation.oracles.paper import residual_matrix, solve_exactly
-from validation.pictures import COLOURS, new_figure, save
-from validation.study import Options, Results, Table, Target, study
+from validation.oracles.paper import prolong, residual_matrix, solve_exactly, solve_literally
+from validation.study import COLOURS, Options, Results, Table, Target, new_figure, save, study
 
 Float64Array = npt.NDArray[np.float64]
 PHANTOMS = ("expansion", "mass-effect")

@@ -42,8 +42,16 @@ from napari_hmrf.io.images import read_image
 from napari_hmrf.loads import Loads
 from napari_hmrf.registration import register
 from validation.oracles.elasticity import direct_solution
-from validation.pictures import draw_differences, draw_grid, new_figure, save
-from validation.study import Options, Results, Table, study
+from validation.study import (
+    Options,
+    Results,
+    Table,
+    draw_differences,
+    draw_grid,
+    new_figure,
+    save,
+    study,
+)
 
 Array = npt.NDArray[Any]
 Register = Callable[[Array, Array, tuple[float, ...]], Array]

@@ -11,8 +11,7 @@ from napari_hmrf import ICM, Problem, SeilerPrior, solve
 from napari_hmrf.solver.connected import connected
 from napari_hmrf.solver.quadtree import levels
 from tests.support.problems import frame_problem
-from validation.oracles.literal import solve_literally
-from validation.oracles.paper import local_energy, solve_exactly
+from validation.oracles.paper import local_energy, solve_exactly, solve_literally
 
 CONVERGED = ICM(iterations=20000, steps=None, energy_change=1e-9)
 
