@@ -113,10 +113,10 @@ soak: setup
 	@$(CAMPAIGN) memory
 
 damaged: setup
-	@$(RUN) benchmarks/damaged.py --seed $(SEED)
+	@$(RUN) -m validation damaged --seeds $(SEED)
 
 disks: setup
-	@$(RUN) benchmarks/full_disks.py --commands --page docs/validation/full-disks.md
+	@$(RUN) -m validation robustness --write
 
 volumes: setup
 	@$(CAMPAIGN) volumes

@@ -29,6 +29,8 @@ MODULES = {
     "uncertainty": "validation.studies.uncertainty",
     "hard": "validation.studies.hard",
     "hardware": "validation.studies.hardware",
+    "robustness": "validation.studies.robustness",
+    "damaged": "validation.studies.damaged",
     "speed": "peers",
 }
 #: Studies of `make report`. Speed is first, before the machine becomes warm.

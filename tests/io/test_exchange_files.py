@@ -7,7 +7,6 @@ import sys
 import numpy as np
 import psutil
 import pytest
-from damaged import make_field, make_foreign, read_all
 
 from napari_hmrf import FileFormatError
 from napari_hmrf.atomic_write import CANNOT_SAVE
@@ -18,6 +17,7 @@ from napari_hmrf.io import decoder_process, itk_decoder, itk_files
 from napari_hmrf.io.decoder_process import DecoderProcess, Undecodable, decoder
 from napari_hmrf.io.fields import is_field_file
 from napari_hmrf.io.images import ImageFile, read_image, write_image
+from validation.studies.damaged import make_field, make_foreign, read_all
 
 sitk = pytest.importorskip("SimpleITK")
 

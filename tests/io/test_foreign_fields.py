@@ -9,11 +9,11 @@ import struct
 
 import numpy as np
 import pytest
-from damaged import make_field
 
 from napari_hmrf import FileFormatError
 from napari_hmrf.fields import read_field
 from tests.support.exchanged_fields import FieldCase, check_field_file
+from validation.studies.damaged import make_field
 
 sitk = pytest.importorskip("SimpleITK")
 

@@ -4,10 +4,10 @@ import ast
 import os
 from pathlib import Path
 
-import full_disks
 import pytest
 
 import napari_hmrf
+from validation.studies import robustness
 
 pytest.importorskip("SimpleITK")
 
@@ -25,14 +25,14 @@ _WAYS = (
 @pytest.mark.skipif(os.name != "posix", reason="needs the POSIX limit of file sizes")
 @pytest.mark.parametrize("name", WRITERS)
 def test_a_full_disk_changes_no_earlier_file(name, tmp_path):
-    """Limit the size of a file; `python benchmarks/full_disks.py` tries all writers."""
-    (writer,) = (each for each in full_disks.writers() if each.name == name)
-    writer.write(tmp_path)
-    before = full_disks.contents(tmp_path)
+    """Limit the size of a file; `make disks` tries all writers."""
+    write = robustness.writers()[name]
+    write(tmp_path)
+    before = robustness.contents(tmp_path)
     smallest = min(map(len, before.values()))
     for limit in (1, smallest // 2):
-        with full_disks.limited(limit):
-            assert full_disks.outcome(writer, tmp_path, before) == ""
+        with robustness.limited(limit):
+            assert robustness.outcome(write, tmp_path, before) == ""
 
 
 def modules_with(*words):

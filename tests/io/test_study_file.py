@@ -11,8 +11,6 @@ import zipfile
 
 import numpy as np
 import pytest
-from damaged import MOST_BYTES, damaged, look, plain
-from damaged import STUDIES as KEPT
 
 from napari_hmrf import (
     ICM,
@@ -48,6 +46,8 @@ from napari_hmrf.landmarks import read_points
 from napari_hmrf.tissue import PRESETS, StiffnessCurve
 from napari_hmrf.tissue.drawing.patch_motion import PatchMotion
 from napari_hmrf.tissue.drawing.record import record_of
+from validation.studies.damaged import MOST_BYTES, damaged, look, plain
+from validation.studies.damaged import STUDIES as KEPT
 
 SHAPE = (20, 24)
 GRID = Grid(SHAPE, (0.5, 0.8), "millimeter", Frame.at((0.5, 0.8), ("mm", "mm")))

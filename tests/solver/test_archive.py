@@ -11,7 +11,6 @@ import zipfile
 
 import numpy as np
 import pytest
-from damaged import MOST_BYTES, damaged, look
 
 from napari_hmrf import (
     FileFormatError,
@@ -25,6 +24,7 @@ from napari_hmrf import (
 from napari_hmrf.data import phantom
 from napari_hmrf.fields import is_solution_file
 from napari_hmrf.solver.optimizers.base import LevelRun
+from validation.studies.damaged import MOST_BYTES, damaged, look
 
 MEMBERS = {"displacement.npy", "energy.npy", "header.npy", "tissue.npy"}
 

@@ -1,39 +1,36 @@
 """Robustness of reading damaged, foreign and malicious files.
 
-    python benchmarks/damaged.py [KIND ...] [--files 5000] [--seed 0]
+    python -m validation damaged [--cases result .h5] [--count 5000] [--seeds 0]
 
-A kind is "result", "study", or the suffix of an exchange file or of landmarks; by default all. Each
-version is read in this process, which must survive. Flipped bits in numbers without a checksum
-cannot be detected, so exchange files may be read with other values, unless they are truncated.
-Exits with 1 if any other file was read with contents that were never saved, an error was not one of
-the package's, a version took more than 2 s, or memory grew by more than 100 MB for a version of an
-archive, or by more than 20 MB over all versions of a kind.
+A kind is "result", "study", or the suffix of an exchange file or of landmarks. Each version is read
+in this process, which must survive. Flipped bits in numbers without a checksum cannot be detected,
+so exchange files may be read with other values, unless they are truncated. It is an error if any
+other file was read with contents that were never saved, or if an error was not one of the
+package's; the targets also limit the time of a version, and the memory.
 """
 
 from __future__ import annotations
 
-import argparse
 import io
 import json
 import random
 import re
 import struct
-import sys
 import tempfile
-import time
 import tracemalloc
 import zipfile
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, is_dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import psutil
-import table
 
+from benchmarks.clock import timed
 from napari_hmrf import (
     Arrow,
     Drawing,
@@ -55,6 +52,7 @@ from napari_hmrf.fields import is_solution_file, is_study_file, read_field, writ
 from napari_hmrf.io.fields import FIELD_SUFFIXES
 from napari_hmrf.io.landmark_files import POINT_SUFFIXES
 from napari_hmrf.landmarks import read_points, write_points
+from validation.study import Options, Results, Target, study
 
 MOST_SECONDS = 2.0
 #: Largest accepted peak of one version of an archive, and growth over all versions of a kind.
@@ -208,6 +206,7 @@ def _write_study(path: Path) -> None:
 
 
 def flipped(content: bytes, dice: random.Random) -> bytes:
+    """Flip some bits."""
     made = bytearray(content)
     for _ in range(dice.choice((1, 1, 2, 8))):
         made[dice.randrange(len(made))] ^= 1 << dice.randrange(8)
@@ -215,6 +214,7 @@ def flipped(content: bytes, dice: random.Random) -> bytes:
 
 
 def cut(content: bytes, dice: random.Random) -> bytes:
+    """Remove the end."""
     return content[: dice.randrange(len(content))]
 
 
@@ -456,9 +456,64 @@ KINDS = {
 _OUTCOMES = "refused", "the same", "another", "failed"
 
 
-def try_kind(kind: Kind, files: int, seed: int) -> tuple[list[Any], bool]:
-    """Read all versions of a kind; return the values of its row, and whether all is right."""
-    outcomes, slowest, hungriest, failed = Counter[str](), 0.0, 0, False
+class Findings(NamedTuple):
+    """Findings of a kind: numbers of versions by outcome, time in seconds, and memory in MB.
+
+    Attributes
+    ----------
+    name : str
+    refused, same, another, failed : int
+    longest : float
+        Longest time of a version.
+    growth : float or None
+        Increase in memory over all versions; None for archives, because they are traced.
+    peak : float or None
+        Largest peak of a version; None for exchange files.
+    """
+
+    name: str
+    refused: int
+    same: int
+    another: int
+    failed: int
+    longest: float
+    growth: float | None
+    peak: float | None
+
+
+def _trials(options: Options) -> dict[str, tuple[str, int, int]]:
+    """Return the name of each kind, the number of its versions, and the seed."""
+    files, seeds = options.count or options.choose(5000, 10), options.seeds or [0]
+    return {name: (name, files, *seeds) for name in KINDS}
+
+
+def _targets(results: Results) -> Iterator[Target]:
+    """Yield the targets of all kinds together."""
+    found = [Findings(*each) for each in results.values()]
+    growths = [each.growth for each in found if each.growth is not None]
+    peaks = [each.peak for each in found if each.peak is not None]
+    yield Target("other errors", sum(each.failed for each in found), 0)
+    yield Target("longest time of a version, s", max(each.longest for each in found), MOST_SECONDS)
+    yield Target("increase in memory, MB", max(growths, default=0.0), MOST_GROWTH / 1e6)
+    yield Target("peak of a version of an archive, MB", max(peaks, default=0.0), MOST_BYTES / 1e6)
+
+
+@study(
+    "damaged.files",
+    _trials,
+    (
+        *("kind", "refused", "read unchanged", "read with changes", "other errors"),
+        *("longest time, s", "increase in memory, MB", "peak of a version, MB"),
+    ),
+    targets=_targets,
+    page="damaged.md",
+)
+def read_damaged(trial: tuple[str, int, int]) -> Findings:
+    """Read damaged versions of each kind of file."""
+    name, files, seed = trial
+    kind = KINDS[name]
+    is_archive = kind.kept.save is not None
+    outcomes, longest, peak = Counter[str](), 0.0, 0
     process, start, most = psutil.Process(), 0, 0
     with tempfile.TemporaryDirectory() as folder:
         whole = Path(folder, f"whole{kind.suffix}")
@@ -468,54 +523,31 @@ def try_kind(kind: Kind, files: int, seed: int) -> tuple[list[Any], bool]:
             path = Path(folder, f"{number}{kind.suffix}")
             path.write_bytes(version.content)
             what = f"{kind.suffix} {number} ({version.kind}, {len(version.content)} bytes)"
-            started = time.perf_counter()
-            try:
-                outcome = look(path, version, original, kind.kept)
-            except Exception as error:  # noqa: BLE001 - unexpected errors are findings
-                outcome, failed = "failed", True
-                print(f"{what}: {type(error).__name__}: {error}"[:300])
-            taken = time.perf_counter() - started
-            slowest = max(slowest, taken)
-            if taken > MOST_SECONDS:
-                print(f"{what}: took {taken:.1f} s")
-            if kind.kept.save is not None:
+            look_at = partial(look, path, version, original, kind.kept)
+            outcome, times = timed(partial(_outcome, look_at, what))
+            longest = max(longest, times.wall)
+            if times.wall > MOST_SECONDS:
+                print(f"{what}: took {times.wall:.1f} s")
+            if is_archive:
                 # Read again to trace memory, because tracing would distort the time.
                 tracemalloc.start()
                 with suppress(Exception):
-                    look(path, version, original, kind.kept)
-                hungriest = max(hungriest, tracemalloc.get_traced_memory()[1])
+                    look_at()
+                peak = max(peak, tracemalloc.get_traced_memory()[1])
                 tracemalloc.stop()
             path.unlink()
             size = process.memory_info().rss
             start, most = (size, size) if number < _WARM_UP else (start, max(most, size))
             outcomes[outcome] += 1
-    grown = most - start
-    right = not failed and slowest <= MOST_SECONDS and hungriest <= MOST_BYTES
-    # What tracing keeps of an archive is not memory of the reader.
-    right = right and (kind.kept.save is not None or grown <= MOST_GROWTH)
-    counts = [outcomes[outcome] for outcome in _OUTCOMES]
-    return [*counts, slowest, grown / 1e6, hungriest / 1e6 or None], right
+    counts = [outcomes[each] for each in _OUTCOMES]
+    memory = (None, peak / 1e6) if is_archive else ((most - start) / 1e6, None)
+    return Findings(name, *counts, longest, *memory)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Read all versions and print the outcomes."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("kinds", nargs="*", metavar="KIND", help=", ".join(KINDS))
-    parser.add_argument("--files", type=int, default=5000, help="number of versions of each kind")
-    parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args(arguments)
-    if unknown := set(options.kinds) - set(KINDS):
-        parser.error(f"unknown kind: {', '.join(sorted(unknown))}; use {', '.join(KINDS)}")
-    titles = "longest time, s", "increase in memory, MB", "peak of a version, MB"
-    print(table.head(("kind", "refused", "read unchanged", "with changes", "errors", *titles)))
-    all_right = True
-    for name in options.kinds or KINDS:
-        values, is_right = try_kind(KINDS[name], options.files, options.seed)
-        print(table.line((name, *values)), flush=True)
-        all_right &= is_right
-    print("all right" if all_right else "NOT RIGHT")
-    return int(not all_right)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+def _outcome(look_at: Callable[[], str], what: str) -> str:
+    """Return the outcome of a version, or print an error and return "failed"."""
+    try:
+        return look_at()
+    except Exception as error:  # noqa: BLE001 - unexpected errors are findings
+        print(f"{what}: {type(error).__name__}: {error}"[:300])
+        return "failed"
