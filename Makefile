@@ -82,13 +82,13 @@ types: setup
 	@$(RUN) -m mypy
 
 speed: setup
-	@$(RUN) benchmarks/speed.py $(NAMES) $(if $(AGAINST),--against $(AGAINST))
+	@$(RUN) -m benchmarks.speed $(NAMES) $(if $(AGAINST),--against $(AGAINST))
 
 window: setup-for-windows
-	@$(HEADLESS) $(RUN) benchmarks/window.py $(if $(AGAINST),--against $(AGAINST))
+	@$(HEADLESS) $(RUN) -m benchmarks.window $(if $(AGAINST),--against $(AGAINST))
 
 peers: setup-for-report
-	@$(RUN) benchmarks/peers.py $(NAMES)
+	@$(RUN) -m benchmarks.peers $(NAMES)
 
 paper: setup
 	@$(RUN) -m validation paper.table-1 paper.table-2

@@ -20,19 +20,28 @@ ROOT = Path(__file__).resolve().parent.parent
 Turn = dict[str, Any]
 # Prefix of the lines with answers, because libraries also print.
 _ANSWER = "answer: "
+# Program of a worker. The benchmarks are those of this checkout, also where the other one has a
+# folder of the same name.
+_WORKER = """
+import importlib, sys
+import benchmarks
+folder, name, *arguments = sys.argv[1:]
+benchmarks.__path__ = [folder]
+importlib.import_module(name).work(*arguments)
+"""
 
 
 class CheckoutWorker:
-    """Process that runs a script with the package of a checkout, and answers requests.
+    """Process that runs a benchmark with the package of a checkout, and answers requests.
 
     Parameters
     ----------
     checkout : Path
         Root folder of the checkout.
-    script : Path
-        Script that is run, whatever the checkout.
+    name : str
+        Module of this checkout whose function `work` is run, whatever the checkout.
     arguments : sequence of str
-        Arguments of the script after ``--worker``.
+        Arguments of this function.
 
     Attributes
     ----------
@@ -40,9 +49,9 @@ class CheckoutWorker:
         First answer of the process, after its preparation.
     """
 
-    def __init__(self, checkout: Path, script: Path, arguments: Sequence[str]) -> None:
+    def __init__(self, checkout: Path, name: str, arguments: Sequence[str]) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, str(script), "--worker", *arguments],
+            [sys.executable, "-c", _WORKER, str(ROOT / "benchmarks"), name, *arguments],
             cwd=checkout,
             env={
                 **os.environ,
@@ -85,7 +94,7 @@ def serve(ready: Turn, turn: Callable[[Turn], Turn]) -> None:
 
 
 def start_workers(
-    script: Path, arguments: Sequence[str], against: Path | None
+    name: str, arguments: Sequence[str], against: Path | None
 ) -> list[CheckoutWorker]:
     """Start a worker of this checkout, or workers of this one, of another one, and of this again.
 
@@ -95,7 +104,7 @@ def start_workers(
     workers: list[CheckoutWorker] = []
     try:
         for checkout in checkouts:
-            workers.append(CheckoutWorker(checkout, script, arguments))
+            workers.append(CheckoutWorker(checkout, name, arguments))
     except RuntimeError:
         for worker in workers:
             worker.end()

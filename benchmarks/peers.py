@@ -1,7 +1,7 @@
 """Time, memory and error of this package beside other programs, in one process.
 
-    python benchmarks/peers.py [images] [volumes] [direct] [cube] [transforms] [--sizes SIZE ...]
-    python benchmarks/peers.py images --write
+    python -m benchmarks.peers [images] [volumes] [direct] [cube] [transforms] [--sizes SIZE ...]
+    python -m benchmarks.peers images --write
 
 `images` prints the table of the README: the elastic model by compiled loops and by shaders, PyAMG,
 SuperLU and CalculiX. `volumes` compares a growing ball with PyAMG, and `transforms` a
@@ -31,8 +31,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import scipy
-import table
-from clock import (
+from threadpoolctl import threadpool_limits
+
+from benchmarks import table
+from benchmarks.clock import (
     Times,
     conditions,
     one_heap,
@@ -42,9 +44,7 @@ from clock import (
     timed,
     trim_memory,
 )
-from speed import Work, edit, growing, random_deformation
-from threadpoolctl import threadpool_limits
-
+from benchmarks.speed import Work, edit, growing, random_deformation
 from napari_hmrf import (
     BackendError,
     ConvergenceError,

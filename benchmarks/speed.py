@@ -1,8 +1,8 @@
 """Speed of this package: wall time, processor time and peak memory of small cases.
 
-    python benchmarks/speed.py [name ...] [--sizes SIZE ...] [--turns 9] [--seconds 2.5]
-    python benchmarks/speed.py [name ...] --against FOLDER_OF_ANOTHER_CHECKOUT
-    python benchmarks/speed.py --list
+    python -m benchmarks.speed [name ...] [--sizes SIZE ...] [--turns 9] [--seconds 2.5]
+    python -m benchmarks.speed [name ...] --against FOLDER_OF_ANOTHER_CHECKOUT
+    python -m benchmarks.speed --list
 
 Each case runs in a process of its own, after a warm-up. Times are medians of several turns; the
 processor time is that of all threads. If a case has a baseline, such as a linear solve of the same
@@ -37,10 +37,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from checkouts import CheckoutWorker, Turn, checkout, in_turn, ratio, serve, start_workers
-from clock import Times, conditions, repeated, with_memory
-from table import duration, head, line
 
+from benchmarks.checkouts import (
+    CheckoutWorker,
+    Turn,
+    checkout,
+    in_turn,
+    ratio,
+    serve,
+    start_workers,
+)
+from benchmarks.clock import Times, conditions, repeated, with_memory
+from benchmarks.table import duration, head, line
 from napari_hmrf import (
     ElasticPrior,
     LiveSolver,
@@ -830,9 +838,9 @@ def _write_cases(folder: Path, size: int, count: int) -> Path:
 # The program.
 
 
-def work(name: str, size: int) -> None:
+def work(name: str, size: str) -> None:
     """Run the work of a case on request, in a worker."""
-    works = CASES[name].prepare(size)
+    works = CASES[name].prepare(int(size))
     ready = {}
     for title, each in works.items():
         each.run(each.prepare())  # loads compiled loops
@@ -858,8 +866,7 @@ def rows(
     chosen: Case, size: int, against: Path | None, turns: int, seconds: float
 ) -> Iterator[list[str]]:
     """Yield the rows of the table of a case, each as soon as it is measured."""
-    script = Path(__file__).resolve()
-    workers = start_workers(script, (chosen.name, str(size)), against)
+    workers = start_workers("benchmarks.speed", (chosen.name, str(size)), against)
     try:
         for title in workers[0].ready:
             yield _row(chosen, size, title, workers, turns, seconds)
@@ -913,12 +920,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--seconds", type=float, default=2.5, help="time of the turns (default: %(default)s)"
     )
     parser.add_argument("--list", action="store_true", help="list the cases")
-    parser.add_argument("--worker", nargs=2, help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
-    if options.worker:
-        name, size = options.worker
-        work(name, int(size))
-        return 0
     if options.list:
         for each in CASES.values():
             print(f"{each.name:18}{each.text}{' (only if named)' if each.is_long else ''}")

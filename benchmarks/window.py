@@ -1,21 +1,21 @@
 """Time from a mouse movement to the picture on the screen, in a real napari window.
 
-    python benchmarks/window.py [size ...] [--kinds grey colour stack pin move tissue]
-    python benchmarks/window.py [size ...] --kinds iso mip plane
-    python benchmarks/window.py [size ...] --against FOLDER_OF_ANOTHER_CHECKOUT
+    python -m benchmarks.window [size ...] [--kinds grey colour stack pin move tissue]
+    python -m benchmarks.window [size ...] --kinds iso mip plane
+    python -m benchmarks.window [size ...] --against FOLDER_OF_ANOTHER_CHECKOUT
 
 A hand drags a patch of the sample brain in a circle. Another thread posts its mouse events at the
 rate of an ordinary mouse; an event that the window has not processed yet is replaced by the next
 event, as Qt does with real events. A picture counts once Qt has shown the repainted canvas on the
 screen. The delay of a click is the time until the window answers a request that is posted every few
-milliseconds. `pin`, `move` and `tissue` paint with a brush instead of pulling. `speed.py drag`
+milliseconds. `pin`, `move` and `tissue` paint with a brush instead of pulling. `speed drag`
 measures a drag without a window.
 
 For the other kinds, which are renderings of the 3-D view, the surface of a head is dragged by one
 movement at a time. Without a GPU, Mesa draws the canvas on the processor, which takes longer than
 everything else.
 
-With another checkout, windows of both take turns of some seconds; see `speed.py`. Without a
+With another checkout, windows of both take turns of some seconds; see `speed`. Without a
 display, run the command with `sh scripts/headless.sh`.
 """
 
@@ -34,14 +34,14 @@ from typing import Any, get_args
 
 import napari
 import numpy as np
-from checkouts import Turn, checkout, in_turn, ratio, serve, start_workers
-from clock import conditions
 from qtpy.QtCore import QEvent, QEventLoop, QObject, QPoint, QPointF, Qt, QTimer
 from qtpy.QtGui import QMouseEvent
 from qtpy.QtWidgets import QApplication
-from speed import textured_head
-from table import head, line
 
+from benchmarks.checkouts import Turn, checkout, in_turn, ratio, serve, start_workers
+from benchmarks.clock import conditions
+from benchmarks.speed import textured_head
+from benchmarks.table import head, line
 from napari_hmrf.data import phantom
 from napari_hmrf.tissue.drawing.marks import Action
 
@@ -350,9 +350,9 @@ class _Poster(QObject):
                 QApplication.postEvent(self, QEvent(self._KIND))
 
 
-def work(kind: str, size: int) -> None:
+def work(kind: str, size: str) -> None:
     """Drag on request, in a worker."""
-    window: Any = (VolumeWindow if kind in RENDERINGS else ImageWindow)(size, kind)
+    window: Any = (VolumeWindow if kind in RENDERINGS else ImageWindow)(int(size), kind)
     serve({}, lambda request: window.drag(request["seconds"]))
     os._exit(0)  # skip the shutdown of Qt and its windows
 
@@ -365,7 +365,7 @@ _BESIDE += ("all threads a picture", "control, all threads")
 
 def compare(kind: str, size: int, against: Path | None, turns: int, seconds: float) -> list[str]:
     """Drag in each checkout in turn, and return the lines of the tables."""
-    workers = start_workers(Path(__file__).resolve(), (kind, str(size)), against)
+    workers = start_workers("benchmarks.window", (kind, str(size)), against)
     try:
         answers = in_turn(workers, {"seconds": seconds}, turns, math.inf)
     finally:
@@ -406,10 +406,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--against", type=checkout, metavar="FOLDER", help="another checkout")
     parser.add_argument("--turns", type=int, default=5, help="default: %(default)s")
     parser.add_argument("--seconds", type=float, default=2.0, help="time of a turn")
-    parser.add_argument("--worker", nargs=2, help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
-    if options.worker:
-        work(options.worker[0], int(options.worker[1]))
     print(conditions())
     titles = f"\n{head(_TITLES)}"
     if options.against is None:

@@ -1,4 +1,4 @@
-"""Run accuracy studies: ``python -m validation NAME``, or without a name for the list of names."""
+"""Run studies: ``python -m validation NAME``, or without a name for the list of names."""
 
 from __future__ import annotations
 
@@ -7,10 +7,7 @@ import shlex
 import sys
 from collections.abc import Sequence
 
-from validation.study import ROOT, STUDIES, parser, run
-
-# The benchmarks import each other by name, because those of one checkout also time another one.
-sys.path.append(str(ROOT / "benchmarks"))
+from validation.study import STUDIES, parser, run
 
 #: Modules with studies by group; imported when they are chosen.
 MODULES = {
@@ -31,7 +28,7 @@ MODULES = {
     "hardware": "validation.studies.hardware",
     "robustness": "validation.studies.robustness",
     "damaged": "validation.studies.damaged",
-    "speed": "peers",
+    "speed": "benchmarks.peers",
 }
 #: Studies of `make report`. Speed is first, before the machine becomes warm.
 REPORT = ("speed", "paper", "elasticity", "registration.figure-4c", "volumes", "loads", "resection")

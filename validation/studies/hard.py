@@ -20,10 +20,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 import numpy.typing as npt
-from peers import Run, has_pyamg, run_ours, run_pyamg, run_superlu
 from scipy import ndimage
 
 from benchmarks.clock import one_heap
+from benchmarks.peers import Run, has_pyamg, run_ours, run_pyamg, run_superlu
 from napari_hmrf import ElasticPrior, Problem
 from napari_hmrf.data import phantom
 from validation.oracles.elasticity import exact_field, refined

@@ -29,9 +29,9 @@ os.environ.setdefault("NAPARI_HMRF_COMPILE", "here")
 
 import numba
 import numpy as np
-from speed import ellipsoid, growing
 
 from benchmarks.clock import Times, median_times, timed
+from benchmarks.speed import ellipsoid, growing
 from napari_hmrf import ICM, BackendError, ElasticPrior, Multigrid, Problem, Solution, solve
 from napari_hmrf.data import phantom
 from napari_hmrf.solver.backends.cpu import elastic, forces, hexahedra, vectors, volume

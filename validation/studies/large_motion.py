@@ -2,7 +2,7 @@
 
 `validation.oracles.calculix` describes the law and the elements of CalculiX. Its elements C3D8
 evaluate the change of volume at each Gauss point, and those of this package evaluate it as the mean
-of an element. ``python benchmarks/speed.py large large-volume`` measures time and memory.
+of an element. ``python -m benchmarks.speed large large-volume`` measures time and memory.
 """
 
 from __future__ import annotations

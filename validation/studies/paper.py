@@ -179,7 +179,7 @@ _VOLUME_TITLES += ("difference, `paper, converged`", "difference, `paper`")
 )
 def in_volume(size: int) -> list[list[Any]]:
     """Compare the field of the paper's prior with the elastic field in a volume, in voxels."""
-    from speed import growing
+    from benchmarks.speed import growing
 
     cube = growing(size)
     places = np.moveaxis(np.indices(cube.shape), 0, -1) * (2 / size) - 1

@@ -2,7 +2,7 @@
 
 The true motion of random tissue is drawn from a matrix that scikit-fem assembled. `brain` times
 `uncertainty` for an MRI of a brain without its skull (``--files t1.nii.gz``), or for an ellipsoid
-of the same size. ``python benchmarks/speed.py sample`` measures the time of a sample.
+of the same size. ``python -m benchmarks.speed sample`` measures the time of a sample.
 """
 
 from __future__ import annotations
