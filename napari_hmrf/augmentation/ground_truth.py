@@ -130,8 +130,8 @@ def write_truth(
     written = []
     for number in range(count):
         sample = random.sample((seed, number))
-        place = place_of(_placed(sample.solution, study.grid))
         if not number:
+            place = place_of(_placed(sample.solution, study.grid))
             write_image(folder / "image.mha", ImageFile(image, place, colours))
             write_image(folder / "labels.mha", ImageFile(labels, place))
             study = replace(study, grid=_grid_in(folder / "image.mha", study.grid))
