@@ -138,7 +138,7 @@ def _is_cached() -> bool:
 
     if loader.is_unwritable():
         return False
-    folder = exact.add.stats.cache_path
+    folder = exact.add.compiled.stats.cache_path
     return folder is not None and any(Path(folder).glob("*.nbi"))
 
 

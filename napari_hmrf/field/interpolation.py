@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
+from napari_hmrf.solver.backends.compile_cache.threaded import portion, threaded
 
-@numba.njit(cache=True, nogil=True, error_model="numpy", parallel=True)
-def look_up(image, smooth, gaps, source, state, tissue, nearest, whole, fill, moved):
+
+@threaded()
+def look_up(thread, image, smooth, gaps, source, state, tissue, nearest, whole, fill, moved):
     """Interpolate an image at the origins of the moved tissue, as `resample` does, on all cores.
 
     Parameters
@@ -38,7 +39,7 @@ def look_up(image, smooth, gaps, source, state, tissue, nearest, whole, fill, mo
         Output.
     """
     height, width, channels = image.shape
-    for row in numba.prange(height):
+    for row in portion(thread, height):
         for col in range(width):
             if state[row, col] == 0:
                 for k in range(channels):

@@ -176,7 +176,8 @@ class Warper:
 
         from napari_hmrf.field.triangle_raster import rasterise_displaced  # heavy: numba
 
-        finite = rasterise_displaced(
+        fine = np.empty(len(mask), bool)
+        rasterise_displaced(
             loops.only_read(d),
             self._spacing,
             float(fraction),
@@ -186,8 +187,9 @@ class Warper:
             self._reach,
             self._source,
             self._state,
+            fine,
         )
-        if not finite:
+        if not fine.all():
             raise ProblemError("displacement", "is NaN or infinite at some pixel of the tissue.")
         return [look(self._source, self._state, mask) for look in self._looks]
 

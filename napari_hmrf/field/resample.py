@@ -115,10 +115,11 @@ def _by_loop(
     settings = nearest, kind.kind != "f", fill[()]
 
     def looked_up() -> bool:
-        return all(
-            look_up(*images, *(each[slab] for each in places), *settings, moved[slab])
-            for slab in slabs(covered.shape)
-        )
+        fine = np.ones(len(covered), bool)
+        for slab in slabs(covered.shape):
+            about = *(each[slab] for each in places), *settings
+            look_up(*images, *about, moved[slab], fine[slab])
+        return bool(fine.all())
 
     if not compute_thread.result_of(looked_up, "resampling a volume"):
         return None

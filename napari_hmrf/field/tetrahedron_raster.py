@@ -9,13 +9,14 @@ cache, but a change to an imported module does not.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numba
 import numpy as np
 
-_LOOPS = {"error_model": "numpy", "no_cfunc_wrapper": True}
-_callee = numba.njit(no_cpython_wrapper=True, **_LOOPS)
-_kept = {"cache": True, "nogil": True, **_LOOPS}
+from napari_hmrf.solver.backends.compile_cache.threaded import LOOPS, portion, threaded
+
+_callee = numba.njit(no_cpython_wrapper=True, **LOOPS)
 
 # Tolerance, in barycentric coordinates, for a voxel to be inside a tetrahedron.
 _SIDE = 1e-9
@@ -459,8 +460,8 @@ def _refined(moved, tissue, to_plane, to_row, to_col, start):
     return start
 
 
-@numba.njit(parallel=True, **_kept)
-def refine(moved, tissue, begin, end, slabs, source, state):
+@threaded()
+def refine(thread, moved, tissue, begin, end, slabs, source, state):
     """Refine the result of `rasterise` for motion that is trilinear in each cell of eight sites.
 
     The finite elements and `moved_points` use the same interpolation. In cells with fewer than
@@ -474,8 +475,7 @@ def refine(moved, tissue, begin, end, slabs, source, state):
     """
     if min(tissue.shape) < 2:
         return
-    for number in numba.prange(slabs):
-        slab = np.int64(number)
+    for slab in portion(thread, slabs):
         first = begin + slab * (end - begin) // slabs
         past = begin + (slab + 1) * (end - begin) // slabs
         for plane in range(first, past):
@@ -494,8 +494,23 @@ def refine(moved, tissue, begin, end, slabs, source, state):
                     source[plane, row, col, 2] = found[2]
 
 
-@numba.njit(parallel=True, **_kept)
-def surface(moved, tissue):
+@threaded()
+def _surface(thread, moved, tissue, outer, reach):
+    """Compute some planes of the output of `surface`."""
+    for plane in portion(thread, len(tissue)):
+        low, high = math.inf, -math.inf
+        for row in range(tissue.shape[1]):
+            for col in range(tissue.shape[2]):
+                outer[plane, row, col] = False
+                if tissue[plane, row, col]:
+                    outer[plane, row, col] = not _is_inner(tissue, plane, row, col)
+                    low = min(low, moved[plane, row, col, 0])
+                    high = max(high, moved[plane, row, col, 0])
+        reach[plane, 0] = low
+        reach[plane, 1] = high
+
+
+def surface(moved: Any, tissue: Any) -> tuple[Any, Any]:
     """Find the surface of the tissue, and the range of its moved planes, for `rasterise`.
 
     Parameters
@@ -512,26 +527,13 @@ def surface(moved, tissue):
     reach : ndarray, shape (D, 2), float64
         Smallest and largest moved position, along the first axis, of the sites of each plane.
     """
-    depth, height, width = tissue.shape
-    outer = np.empty(tissue.shape, np.bool_)
-    reach = np.empty((depth, 2))
-    for number in numba.prange(depth):
-        plane = np.int64(number)
-        low, high = math.inf, -math.inf
-        for row in range(height):
-            for col in range(width):
-                outer[plane, row, col] = False
-                if tissue[plane, row, col]:
-                    outer[plane, row, col] = not _is_inner(tissue, plane, row, col)
-                    low = min(low, moved[plane, row, col, 0])
-                    high = max(high, moved[plane, row, col, 0])
-        reach[plane, 0] = low
-        reach[plane, 1] = high
+    outer, reach = np.empty(tissue.shape, bool), np.empty((len(tissue), 2))
+    _surface(moved, tissue, outer, reach)
     return outer, reach
 
 
-@numba.njit(parallel=True, **_kept)
-def rasterise(moved, tissue, reach, begin, end, slabs, source, state):
+@threaded()
+def rasterise(thread, moved, tissue, reach, begin, end, slabs, source, state):
     """Invert the motion of the sites, linear on each tetrahedron of four neighbouring sites.
 
     Each cell of 2 x 2 x 2 sites consists of six tetrahedra. In cells at the border of the tissue,
@@ -561,15 +563,14 @@ def rasterise(moved, tissue, reach, begin, end, slabs, source, state):
         tetrahedron; 2 for a non-inverted tetrahedron; 3 for two non-inverted tetrahedra with
         origins more than a voxel apart.
     """
-    for number in numba.prange(slabs):
-        slab = np.int64(number)
+    for slab in portion(thread, slabs):
         first = begin + slab * (end - begin) // slabs
         past = begin + (slab + 1) * (end - begin) // slabs
         _tetrahedra(moved, tissue, source, state, reach, first, past)
 
 
-@numba.njit(parallel=True, **_kept)
-def outline(moved, tissue, outer, reach, longest, begin, end, slabs, source, state):
+@threaded()
+def outline(thread, moved, tissue, outer, reach, longest, begin, end, slabs, source, state):
     """Fill the voxels that no tetrahedron covers, with the outline of the tissue or as void.
 
     The outline consists of the outermost sites, and the lines and squares between them. With
@@ -587,8 +588,7 @@ def outline(moved, tissue, outer, reach, longest, begin, end, slabs, source, sta
         As for `rasterise`, which must be called first. `state` is 2 where the outline is drawn. If
         all planes are given (P = D), the `source` of each empty voxel outside tissue is the voxel.
     """
-    for number in numba.prange(slabs):
-        slab = np.int64(number)
+    for slab in portion(thread, slabs):
         first = begin + slab * (end - begin) // slabs
         past = begin + (slab + 1) * (end - begin) // slabs
         _outline(moved, tissue, outer, source, state, reach, longest, first, past)

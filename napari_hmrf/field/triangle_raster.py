@@ -13,13 +13,14 @@ import math
 import numba
 import numpy as np
 
+from napari_hmrf.solver.backends.compile_cache.threaded import LOOPS, portion, threaded
+
 # Decorators for functions that only compiled code calls. `_inlined` avoids a function call for each
 # cell; the calls would take a quarter of the run time.
-_LOOPS = {"error_model": "numpy", "no_cfunc_wrapper": True}
-_callee = numba.njit(no_cpython_wrapper=True, **_LOOPS)
-_inlined = numba.njit(no_cpython_wrapper=True, forceinline=True, **_LOOPS)
+_callee = numba.njit(no_cpython_wrapper=True, **LOOPS)
+_inlined = numba.njit(no_cpython_wrapper=True, forceinline=True, **LOOPS)
 # Options of functions that Python calls; numba caches these functions on disk.
-_kept = {"cache": True, "nogil": True, **_LOOPS}
+_kept = {"cache": True, "nogil": True, **LOOPS}
 
 # Tolerance, in barycentric coordinates, for a pixel to be inside a triangle.
 _EDGE = 1e-9
@@ -278,9 +279,9 @@ def rasterise(moved, tissue):
     return source, state
 
 
-@numba.njit(parallel=True, **_kept)
+@threaded(turns=2)
 def rasterise_displaced(
-    displacement, spacing, fraction, tissue, bands, moved, reach, source, state
+    thread, displacement, spacing, fraction, tissue, bands, moved, reach, source, state, fine
 ):
     """Apply `rasterise` to a fraction of a displacement, on all cores, with preallocated arrays.
 
@@ -305,32 +306,26 @@ def rasterise_displaced(
         Output: range of the moved row positions of the tissue sites of each row.
     source, state : ndarray
         Output, as returned by `rasterise`; `source` is unchanged where `state` is 0.
-
-    Returns
-    -------
-    bool
-        True if the displacement is finite at all tissue sites; if False, the output is invalid.
+    fine : ndarray, shape (H,), bool
+        Output: False for rows in which the displacement of tissue is not finite. If there are any,
+        the other outputs are invalid.
     """
     height, width = tissue.shape
-    fine = np.ones(height, np.bool_)
-    for number in numba.prange(height):
-        row = np.int64(number)  # the counter of a numba parallel loop has a different integer type
-        for col in range(width):
-            # The displacement outside tissue is ignored.
-            by_row = fraction * displacement[row, col, 0] if tissue[row, col] else 0.0
-            by_col = fraction * displacement[row, col, 1] if tissue[row, col] else 0.0
-            moved[row, col, 0] = by_row / spacing[0] + row
-            moved[row, col, 1] = by_col / spacing[1] + col
-            if not (math.isfinite(by_row) and math.isfinite(by_col)):
-                fine[row] = False
-            state[row, col] = 0
-        _note_reach(moved, tissue, row, reach)
-    if not fine.all():
-        return False
-    for number in numba.prange(bands):
-        band = np.int64(number)
-        first = band * height // bands
-        past = (band + 1) * height // bands
-        _triangles(moved, tissue, source, state, reach, first, past)
-        _outline(moved, tissue, source, state, reach, first, past)
-    return True
+    if thread[2] == 0:
+        for row in portion(thread, height):
+            fine[row] = True
+            for col in range(width):
+                # The displacement outside tissue is ignored.
+                by_row = fraction * displacement[row, col, 0] if tissue[row, col] else 0.0
+                by_col = fraction * displacement[row, col, 1] if tissue[row, col] else 0.0
+                moved[row, col, 0] = by_row / spacing[0] + row
+                moved[row, col, 1] = by_col / spacing[1] + col
+                if not (math.isfinite(by_row) and math.isfinite(by_col)):
+                    fine[row] = False
+                state[row, col] = 0
+            _note_reach(moved, tissue, row, reach)
+    elif fine.all():
+        for band in portion(thread, bands):
+            first, past = band * height // bands, (band + 1) * height // bands
+            _triangles(moved, tissue, source, state, reach, first, past)
+            _outline(moved, tissue, source, state, reach, first, past)

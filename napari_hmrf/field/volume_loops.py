@@ -12,13 +12,14 @@ import math
 import numba
 import numpy as np
 
-_LOOPS = {"error_model": "numpy", "no_cfunc_wrapper": True}
-_callee = numba.njit(no_cpython_wrapper=True, **_LOOPS)
-_kept = {"cache": True, "nogil": True, **_LOOPS}
+from napari_hmrf.solver.backends.compile_cache.threaded import LOOPS, portion, threaded
+
+_callee = numba.njit(no_cpython_wrapper=True, **LOOPS)
+_kept = {"cache": True, "nogil": True, **LOOPS}
 
 
-@numba.njit(parallel=True, **_kept)
-def look_up(image, smooth, gaps, source, covered, nearest, whole, fill, moved):
+@threaded()
+def look_up(thread, image, smooth, gaps, source, covered, nearest, whole, fill, moved, fine):
     """Interpolate a volume at the origins of the moved tissue, as `resample` does, on all cores.
 
     Parameters
@@ -41,15 +42,11 @@ def look_up(image, smooth, gaps, source, covered, nearest, whole, fill, moved):
         Value of uncovered voxels, in the type of the image.
     moved : ndarray, shape (P, H, W, channels)
         Output.
-
-    Returns
-    -------
-    bool
-        True if the origins of all covered voxels are finite; if False, the output is invalid.
+    fine : ndarray, shape (P,), bool
+        Output, initially True: False for planes with an origin that is not finite.
     """
     depth, height, width, channels = image.shape
-    fine = np.ones(len(covered), np.bool_)
-    for plane in numba.prange(len(covered)):
+    for plane in portion(thread, len(covered)):
         for row in range(height):
             for col in range(width):
                 if not covered[plane, row, col]:
@@ -88,7 +85,6 @@ def look_up(image, smooth, gaps, source, covered, nearest, whole, fill, moved):
                     moved[plane, row, col, channel] = np.rint(value) if whole else value
                     if gaps and not math.isfinite(image[i, j, k, channel]):
                         moved[plane, row, col, channel] = image[i, j, k, channel]
-    return fine.all()
 
 
 @_callee

@@ -183,5 +183,6 @@ def _at_points(image: npt.NDArray[np.float32], places: Array) -> npt.NDArray[np.
         False,
         np.float32(0),
         moved,
+        np.ones(planes, bool),
     )
     return moved.reshape(-1, channels)[:count]

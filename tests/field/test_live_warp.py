@@ -105,11 +105,13 @@ def test_the_number_of_bands_does_not_change_the_result(bands):
     moved, _ = moved_sites(d, (1, 1), tissue)
     source, state = rasterise(moved, tissue)
     ours = np.empty((*SHAPE, 2)), np.empty((SHAPE[0], 2)), np.zeros_like(source), state.copy()
+    fine = np.empty(SHAPE[0], bool)
 
     def draw():
-        return rasterise_displaced(d, (1.0, 1.0), 1.0, tissue, bands, *ours)
+        rasterise_displaced(d, (1.0, 1.0), 1.0, tissue, bands, *ours, fine)
 
-    assert compute_thread.submit(draw).result()
+    compute_thread.submit(draw).result()
+    assert fine.all()
     np.testing.assert_array_equal(ours[3], state)
     np.testing.assert_array_equal(ours[2][state > 0], source[state > 0])
     assert {0, 1, 2, 3} == set(np.unique(state)), "the field should have folded"
@@ -152,7 +154,7 @@ def test_large_labels_keep_every_bit(kind):
 
 def test_no_image_type_compiles_a_loop_for_another_signature():
     def there():
-        return [set(loop.signatures) for loop in (look_up, rasterise_displaced)]
+        return [set(loop.compiled.signatures) for loop in (look_up, rasterise_displaced)]
 
     def move(kind, order, read_only):
         image, still = np.ones((9, 9), kind), np.zeros((9, 9, 2), np.float32)

@@ -179,11 +179,11 @@ def test_the_inverse_of_a_point_matches_the_inverse_map(seed):
 def test_masks_in_another_order_of_memory_do_not_compile_the_loops_again():
     displacement, tissue = np.zeros((4, 5, 6, 3)), np.ones((4, 5, 6), bool)
     expected = inverse_map(displacement, spacing=1, tissue=tissue)
-    versions = list(tetrahedron_raster.rasterise.signatures)
+    versions = list(tetrahedron_raster.rasterise.compiled.signatures)
     for other in (np.asfortranarray(tissue), np.ones((4, 5, 12), bool)[..., ::2]):
         found = inverse_map(displacement, spacing=1, tissue=other)
         np.testing.assert_array_equal(found[0], expected[0])
-    assert tetrahedron_raster.rasterise.signatures == versions
+    assert tetrahedron_raster.rasterise.compiled.signatures == versions
 
 
 def test_a_point_just_beyond_the_outermost_sites_belongs_to_their_voxels():

@@ -53,7 +53,7 @@ def test_cancellation_is_checked_after_each_short_batch(monkeypatch):
     solve(
         problem, SeilerPrior(), optimizer=ICM(iterations=1), backend="cpu"
     )  # compiles the kernels before batches are counted
-    cancel, batches, sweep = threading.Event(), [], kernels.sweeps
+    cancel, batches, sweep = threading.Event(), [], kernels.sweeps.in_turns
 
     def counted(*arguments):
         share, totals = arguments[-2:]
@@ -62,7 +62,7 @@ def test_cancellation_is_checked_after_each_short_batch(monkeypatch):
             cancel.set()
         sweep(*arguments)
 
-    monkeypatch.setattr(kernels, "sweeps", counted)
+    monkeypatch.setattr(kernels.sweeps, "in_turns", counted)
     with pytest.raises(Cancelled):
         solve(problem, SeilerPrior(), optimizer=ICM(iterations=100), backend="cpu", cancel=cancel)
     shapes, updates = zip(*batches, strict=True)
@@ -220,7 +220,7 @@ from napari_hmrf.solver.preparation import prepare
 def made():
     names = [f"{cpu.__name__}.{each.name}" for each in pkgutil.iter_modules(cpu.__path__)]
     modules = [vars(sys.modules[name]) for name in names if name in sys.modules]
-    found = [each for module in modules for each in module.values()]
+    found = [getattr(each, "compiled", each) for module in modules for each in module.values()]
     return {each.__name__: each.signatures for each in found if hasattr(each, "signatures")}
 
 for spacing in ((1.0, 1.0), (1.0, 2.0)):

@@ -274,8 +274,10 @@ def test_the_first_drag_compiles_no_loop(wait_for_follower, make_follower):
     from napari_hmrf.field.triangle_raster import rasterise_displaced
 
     def compiled():
-        kernels = look_up.signatures, rasterise_displaced.signatures
-        return [sorted(map(str, each)) for each in kernels], set(preparation._prepared)
+        kernels = look_up, rasterise_displaced
+        return [sorted(map(str, each.compiled.signatures)) for each in kernels], set(
+            preparation._prepared
+        )
 
     image = Image(np.random.default_rng(2).normal(size=(40, 44)).astype(np.float32))
     follower = make_follower(image, hold_edge=False)

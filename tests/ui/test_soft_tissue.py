@@ -842,13 +842,13 @@ def test_cancel_has_an_immediate_effect_while_the_thread_is_busy(
 def test_cancel_stops_a_long_solve_early(widget, small_sample, run, wait_for, monkeypatch):
     from napari_hmrf.solver.backends.cpu import kernels
 
-    swept, sweep = [], kernels.sweeps
+    swept, sweep = [], kernels.sweeps.in_turns
 
     def counted(*arguments):
         sweep(*arguments)
         swept.append(len(arguments[-1]))
 
-    monkeypatch.setattr(kernels, "sweeps", counted)
+    monkeypatch.setattr(kernels.sweeps, "in_turns", counted)
     viewer = viewer_of(widget)
     small_sample(viewer)
     run(widget)

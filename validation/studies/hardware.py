@@ -143,7 +143,11 @@ def _has_loop(node: ast.AST) -> bool:
 
 def operations(function: Any) -> int:
     """Return the number of operations in the innermost loops, or in all code without loops."""
-    tree = _WithoutData().visit(ast.parse(textwrap.dedent(inspect.getsource(function.py_func))))
+    tree = _WithoutData().visit(
+        ast.parse(
+            textwrap.dedent(inspect.getsource(getattr(function, "compiled", function).py_func))
+        )
+    )
     counter = _Counter()
     loops = [each for each in ast.walk(tree) if isinstance(each, ast.For)]
     bodies = [each.body for each in loops if not any(map(_has_loop, each.body))]

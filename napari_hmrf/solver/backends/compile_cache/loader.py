@@ -156,16 +156,23 @@ def cached_loops() -> list[Any]:
     found: dict[int, Any] = {}
     for module in filter(None, map(sys.modules.get, disk_cache.modules())):
         for value in tuple(vars(module).values()):
-            loop: Any = value if isinstance(value, Dispatcher) else None
-            if loop is not None and not isinstance(loop._cache, NullCache):
+            loop = _compiled(value)
+            if not isinstance(loop, Dispatcher):
+                continue
+            if not isinstance(loop._cache, NullCache):  # type: ignore[attr-defined]
                 found[id(loop)] = loop
     return list(found.values())
+
+
+def _compiled(loop: Any) -> Any:
+    """Return numba's object for a loop."""
+    return getattr(loop, "compiled", loop)
 
 
 def is_cached(loop: Any) -> bool:
     """Return whether a loop is cached for any argument types; False if the cache is unreadable."""
     try:
-        return bool(_signatures(loop))
+        return bool(_signatures(_compiled(loop)))
     except (AttributeError, OSError):
         return False
 

@@ -184,7 +184,8 @@ class CpuBackend:
         if len(stiffness.shape) == 3:
             self._sweep_volume(even, odd, stiffness, observation, rule, row_totals)
             return
-        self._kernels.sweeps(
+        self._kernels.sweeps.in_turns(
+            len(row_totals),
             even,
             odd,
             stiffness.planes,
@@ -209,7 +210,8 @@ class CpuBackend:
     ) -> None:
         from napari_hmrf.solver.backends.cpu import volume_cliques  # heavy: numba
 
-        volume_cliques.sweeps(
+        volume_cliques.sweeps.in_turns(
+            len(row_totals),
             CpuField(even).rows,
             CpuField(odd).rows,
             stiffness.rows,

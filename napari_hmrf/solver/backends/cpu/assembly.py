@@ -7,14 +7,14 @@ All arrays have a border of void, two sites wide. An element has the index of it
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
 from __future__ import annotations
 
-from numba import float32, float64, prange
+from numba import float32, float64
 
-from napari_hmrf.solver.backends.cpu.compiled import disjoint, parallel
+from napari_hmrf.solver.backends.cpu.compiled import disjoint, disjoint_parallel, parallel, portion
 from napari_hmrf.solver.backends.cpu.forces import pair
 
 
-@parallel
-def elements(m, poisson, each, one, strain, scale, lame):
+@disjoint_parallel
+def elements(thread, m, poisson, each, one, strain, scale, lame):
     """Compute the Lame parameters of each element from the means of its sites.
 
     The parameters are 0 for elements with a void site. If `one` is True, Poisson's ratio is
@@ -22,7 +22,7 @@ def elements(m, poisson, each, one, strain, scale, lame):
     plane strain if `strain` is True, otherwise for plane stress. Ratios near 0.5 require double
     precision, because 1 - 2 nu loses digits.
     """
-    for i in prange(m.shape[0] - 1):
+    for i in portion(thread, m.shape[0] - 1):
         for j in range(m.shape[1] - 1):
             a, b = float64(m[i, j]), float64(m[i, j + 1])
             c, d = float64(m[i + 1, j]), float64(m[i + 1, j + 1])
@@ -42,10 +42,10 @@ def elements(m, poisson, each, one, strain, scale, lame):
                 lame[1, i + 2, j + 2] = 0
 
 
-@parallel
-def coarsen(fine, coarse):
+@disjoint_parallel
+def coarsen(thread, fine, coarse):
     """Compute coarse parameters as the mean of four fine elements, where void counts as 0."""
-    for i in prange(coarse.shape[1] - 4):
+    for i in portion(thread, coarse.shape[1] - 4):
         for k in range(2):
             for j in range(coarse.shape[2] - 4):
                 a = fine[k, 2 * i + 2, 2 * j + 2] + fine[k, 2 * i + 2, 2 * j + 3]
@@ -70,12 +70,12 @@ def _diagonal_row(above, here, shape, out):
 
 
 @parallel
-def diagonal(lame, at, tissue, shape, out):
+def diagonal(thread, lame, at, tissue, shape, out):
     """Compute the diagonal of the stiffness matrix in the columns `tissue` of each row.
 
     `lame` and `out` have shape (2, N), and `at` is their table of rows (`layout`).
     """
-    for n in prange(len(at) - 4):
+    for n in portion(thread, len(at) - 4):
         i = n + 2
         begin, past = tissue[i, 0] + 1, tissue[i, 1] + 2
         above = pair(lame, at[i - 1] + begin, at[i - 1] + past)

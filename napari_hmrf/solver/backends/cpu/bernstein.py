@@ -22,9 +22,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import prange
 
-from napari_hmrf.solver.backends.cpu.compiled import alone, callee, parallel, shared
+from napari_hmrf.solver.backends.cpu.compiled import (
+    alone,
+    callee,
+    portion,
+    scratch_parallel,
+    shared,
+)
 from napari_hmrf.solver.backends.cpu.finite_strain import barrier
 
 _COUNT = 27
@@ -238,14 +243,14 @@ def _move(edges, moved, corner, k, q, far):
                 moved[axis, side, k] -= 4 * q[axis] * far
 
 
-@parallel
-def barrier_matrices(d, elements, gains, scales, q, start, positive, out):
+@scratch_parallel
+def barrier_matrices(thread, d, elements, gains, scales, q, start, positive, out):
     """Compute the second derivatives of the barrier of some elements, (N, 24, 24).
 
     `elements` has the indices (z, y, x) of each in padded arrays. The order of the 24 components is
     that of the corners 000, 001, 010 ... 111, with three components each.
     """
-    for n in prange(len(elements)):
+    for n in portion(thread, len(elements)):
         edges, net, weights = np.empty((3, 4, 3)), np.empty(27), np.empty(27)
         pulls, moved, gradient = np.empty((3, 4, 3)), np.empty((3, 4, 3)), np.empty(24)
         work = edges, net, weights, pulls, moved, gradient

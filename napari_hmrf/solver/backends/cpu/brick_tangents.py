@@ -22,10 +22,18 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import float32, prange
+from numba import float32
 
 from napari_hmrf.solver.backends.cpu.bernstein import barrier_slopes
-from napari_hmrf.solver.backends.cpu.compiled import alone, callee, parallel, shared
+from napari_hmrf.solver.backends.cpu.compiled import (
+    alone,
+    by_parity,
+    callee,
+    parallel,
+    portion,
+    scratch_parallel,
+    shared,
+)
 from napari_hmrf.solver.backends.cpu.finite_bricks import (
     BLOCK,
     FLOATS,
@@ -55,6 +63,7 @@ from napari_hmrf.solver.backends.cpu.finite_bricks import (
     twisted,
     volumes,
 )
+from napari_hmrf.solver.backends.cpu.forces import clear
 
 #: Number of planes of a level's model.
 PLANES = np.int64(13)
@@ -175,27 +184,27 @@ def _tangent_plane(d, solid, q, barrier, calm, z, f, points, work, out, low):
                 out[_DAMPING, z, y, at] = max(1.0, norm / calm)
 
 
-@parallel
-def tangents(d, solid, q, barrier, calm, out, low):
+@scratch_parallel
+def tangents(thread, d, solid, q, barrier, calm, out, low):
     """Compute the numbers of each element at a displacement, for the finest level.
 
     `low` gets a bound below the Jacobian of each element, infinite in void. It is the least
     Bernstein coefficient where it is less than the start of the barrier.
     """
-    for n in prange(d.shape[1] - 4):
+    for n in portion(thread, d.shape[1] - 4):
         f, points = np.zeros(FLOATS), np.zeros(POINTS)
         work = np.empty((3, 4, 3)), np.empty(27), np.empty(9), np.empty(18)
         _tangent_plane(d, solid, q, barrier, calm, n + 2, f, points, work, out, low)
 
 
-@parallel
-def coarsen(fine, coarse):
+@scratch_parallel
+def coarsen(thread, fine, coarse):
     """Compute the numbers of coarse elements from the eight fine ones, with void as 0.
 
     F is the mean, weighted by mu. The moduli are twice their mean, because the energy of an element
     grows with its side. The damping is the largest of the eight.
     """
-    for n in prange(coarse.shape[1] - 4):
+    for n in portion(thread, coarse.shape[1] - 4):
         z = n + 2
         total = np.empty(9, dtype=np.float32)
         for y in range(2, coarse.shape[2] - 2):
@@ -257,14 +266,15 @@ def _diagonal_plane(tangent, q, z, out):
                     )
 
 
-@parallel
-def diagonal(tangent, q, out):
+@by_parity
+def diagonal(thread, tangent, q, out):
     """Compute the diagonal of the matrix, times the damping of the elements."""
-    out[:] = 0
-    planes = tangent.shape[1] - 4
-    for odd in range(2):
-        for half in prange((planes + 1 - odd) // 2):
-            _diagonal_plane(tangent, q, 2 * np.int64(half) + odd + 2, out)
+    if thread[2] == 0:
+        clear(thread, out)
+    else:
+        odd = thread[2] - 1
+        for half in portion(thread, (tangent.shape[1] - 3 - odd) // 2):
+            _diagonal_plane(tangent, q, 2 * half + odd + 2, out)
 
 
 @callee
@@ -358,25 +368,26 @@ def _image_plane(d, tangent, q, z, f, out):
             add_pulls(f, z, y, begin, count, out)
 
 
-@parallel
-def image(d, tangent, q, out):
+@by_parity
+def image(thread, d, tangent, q, out):
     """Compute A d."""
-    out[:] = 0
-    planes = d.shape[1] - 4
-    for odd in range(2):
-        for half in prange((planes + 1 - odd) // 2):
+    if thread[2] == 0:
+        clear(thread, out)
+    else:
+        odd = thread[2] - 1
+        for half in portion(thread, (d.shape[1] - 3 - odd) // 2):
             f = np.zeros(FLOATS, dtype=d.dtype)
-            _image_plane(d, tangent, q, 2 * np.int64(half) + odd + 2, f, out)
+            _image_plane(d, tangent, q, 2 * half + odd + 2, f, out)
 
 
 @parallel
-def smooth(d, load, image, inverse, weight, springs, out, scale, ahead, back):
+def smooth(thread, d, load, image, inverse, weight, springs, out, scale, ahead, back):
     """Compute a Chebyshev step: out = d + scale D^-1 (load - (A + W) d) + ahead d - back out.
 
     `image` is A d. On entry, `out` has the displacement before the last step, which was d - out.
     Arrays are those of `level.rows`.
     """
-    for i in prange(d.shape[1]):
+    for i in portion(thread, d.shape[1]):
         for k in range(d.shape[0]):
             for x in range(d.shape[2]):
                 now = d[k, i, x]
@@ -386,12 +397,12 @@ def smooth(d, load, image, inverse, weight, springs, out, scale, ahead, back):
 
 
 @parallel
-def rest(d, load, given, image, inverse, weight, springs, scale, out):
+def rest(thread, d, load, given, image, inverse, weight, springs, scale, out):
     """Compute out = scale (given load - (A + W) d), with 0 at fixed components.
 
     `image` is A d, and may be the array `out`. Arrays are those of `level.rows`.
     """
-    for i in prange(d.shape[1]):
+    for i in portion(thread, d.shape[1]):
         for k in range(d.shape[0]):
             for x in range(d.shape[2]):
                 left = given * load[k, i, x] - image[k, i, x]

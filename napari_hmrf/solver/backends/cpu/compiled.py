@@ -18,12 +18,19 @@ from numba.core import event
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 
 from napari_hmrf.solver.backends.compile_cache.disk_cache import sources
+from napari_hmrf.solver.backends.compile_cache.threaded import (
+    ALONE,
+    LOOPS,
+    ThreadedLoop,
+    portion,
+    threaded,
+)
+
+__all__ = ["ALONE", "portion"]
 
 # Contraction (one rounding for x * y + z) is allowed. Reordering is not, because it could replace
 # differences between displacements by sums in which large terms cancel.
 _ARITHMETIC = {"contract", "nsz"}
-# Options for all loops. Loops are never called from C, so no C wrapper is needed.
-_ALL = {"error_model": "numpy", "no_cfunc_wrapper": True}
 
 
 class _Uncollected(event.Listener):  # type: ignore[misc]
@@ -62,22 +69,39 @@ class _WithoutOverlap(CompilerBase):  # type: ignore[misc]
         return [DefaultPassBuilder.define_nopython_pipeline(self.state)]
 
 
+def _stamp(compiled: Any) -> None:
+    """Invalidate the cache of a compiled function when any file with compiled loops changes."""
+    with suppress(AttributeError):  # some versions of numba lack these attributes
+        file = compiled._cache._cache_file
+        file._source_stamp = (file._source_stamp, sources(Path(__file__).parent))
+
+
 def _cached(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Return a decorator that compiles a function and caches it until a file of loops changes."""
 
     def decorate(function: Callable[..., Any]) -> Any:
-        made = numba.njit(cache=True, nogil=True, **_ALL, **options)(function)
-        with suppress(AttributeError):  # some versions of numba lack these attributes
-            file = made._cache._cache_file
-            file._source_stamp = (file._source_stamp, sources(Path(__file__).parent))
+        made = numba.njit(cache=True, nogil=True, **LOOPS, **options)(function)
+        _stamp(made)
         return made
+
+    return decorate
+
+
+def _threaded(**options: Any) -> Callable[[Callable[..., None]], ThreadedLoop]:
+    """Return the same decorator for a multithreaded loop."""
+    compiled = threaded(**options)
+
+    def decorate(function: Callable[..., None]) -> ThreadedLoop:
+        loop = compiled(function)
+        _stamp(loop.compiled)
+        return loop
 
     return decorate
 
 
 def _callee(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Return a decorator for functions that are called only by compiled loops."""
-    made: Callable[..., Any] = numba.njit(no_cpython_wrapper=True, **_ALL, **options)
+    made: Callable[..., Any] = numba.njit(no_cpython_wrapper=True, **LOOPS, **options)
     return made
 
 
@@ -103,6 +127,15 @@ alone = _cached(fastmath=_ARITHMETIC)
 #: Decorator for single-threaded loops called from Python, with exact IEEE arithmetic.
 strict = _cached()
 #: Decorator for multithreaded loops called from Python, with exact IEEE arithmetic.
-strict_parallel = _cached(parallel=True)
+strict_parallel = _threaded()
+#: Decorator for the same, if the outputs overlap none of the other arguments.
+disjoint_strict_parallel = _threaded(disjoint=True)
 #: Decorator for multithreaded loops called from Python, with contraction.
-parallel = _cached(parallel=True, fastmath=_ARITHMETIC)
+parallel = _threaded(fastmath=_ARITHMETIC)
+#: Decorator for the same, if the outputs overlap none of the other arguments.
+disjoint_parallel = _threaded(disjoint=True, fastmath=_ARITHMETIC)
+#: Decorator for multithreaded loops that create scratch arrays.
+scratch_parallel = _threaded(creates=True, fastmath=_ARITHMETIC)
+#: Decorator for loops over the planes of a volume that add to the sites of the next plane, too:
+#: turn 0 clears the sites, turns 1 and 2 visit planes with even and with odd numbers.
+by_parity = _threaded(creates=True, turns=3, fastmath=_ARITHMETIC)

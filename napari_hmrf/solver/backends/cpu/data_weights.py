@@ -11,9 +11,15 @@ volumes as views of all rows (`level.rows`).
 from __future__ import annotations
 
 import numpy as np
-from numba import float32, float64, prange
+from numba import float32, float64
 
-from napari_hmrf.solver.backends.cpu.compiled import callee, parallel, shared
+from napari_hmrf.solver.backends.cpu.compiled import (
+    callee,
+    parallel,
+    portion,
+    scratch_parallel,
+    shared,
+)
 
 
 @shared
@@ -47,14 +53,14 @@ def _tensor(data, i, j):
 
 
 @parallel
-def couple(inverse, data, weight, mixed):
+def couple(thread, inverse, data, weight, mixed):
     """Add W to the springs, and replace the reciprocal diagonal with the blocks of (D + W)^-1.
 
     On entry, `weight` contains the springs, and `inverse` the reciprocal of D with springs, or 0 at
     fixed components, which stay 0.
     """
     count = len(inverse)
-    for n in prange(inverse.shape[1] - 4):
+    for n in portion(thread, inverse.shape[1] - 4):
         i = n + 2
         for j in range(2, inverse.shape[2] - 2):
             a, b, c, d, e, f = _tensor(data, i, j)
@@ -81,13 +87,13 @@ def couple(inverse, data, weight, mixed):
 
 
 @parallel
-def add(d, data, scale, inverse, out, row_totals):
+def add(thread, d, data, scale, inverse, out, row_totals):
     """Add ``scale * W d`` to `out`, except at fixed components; sum d . W d of each row.
 
     Components with an inverse diagonal of 0 are fixed. If `inverse` is None, no component is.
     """
     count = len(d)
-    for n in prange(d.shape[1] - 4):
+    for n in portion(thread, d.shape[1] - 4):
         i, total = n + 2, 0.0
         for j in range(2, d.shape[2] - 2):
             a, b, c, e, f, g = _tensor(data, i, j)
@@ -166,12 +172,12 @@ def _subtract_line(own, inverse, mixed, force, other, out):
         out[x] += own[x] - (inverse[x] * force[x] + mixed[x] * other[x])
 
 
-@parallel
-def add_relaxed(coarse, inverse, weight, mixed, out):
+@scratch_parallel
+def add_relaxed(thread, coarse, inverse, weight, mixed, out):
     """Interpolate the coarse correction of an image, multiply it by T, and add it to `out`."""
-    for n in prange(out.shape[1] - 4):
-        i, near = np.int64(n) + 2, np.int64(n) // 2 + 2
-        far = near + np.int64(n) % 2
+    for n in portion(thread, out.shape[1] - 4):
+        i, near = n + 2, n // 2 + 2
+        far = near + n % 2
         # The interpolated correction u, and W u. Loops that write a single line vectorize.
         u, force = np.zeros((2, out.shape[2]), out.dtype), np.zeros((2, out.shape[2]), out.dtype)
         for k in range(2):
@@ -198,14 +204,14 @@ def _limited(data, mean, i, j):
 
 
 @parallel
-def limit(data, diagonal, weight, mixed):
+def limit(thread, data, diagonal, weight, mixed):
     """Write W T to `weight` and `mixed`, with the mean of the diagonal for D; 0 in void.
 
     The sum over the fine sites around a coarse site, as for forces, is the tensor of that site.
     """
     count = len(diagonal)
-    for n in prange(diagonal.shape[1] - 4):
-        i = np.int64(n) + 2
+    for n in portion(thread, diagonal.shape[1] - 4):
+        i = n + 2
         for j in range(2, diagonal.shape[2] - 2):
             mean = float64(diagonal[0, i, j]) + float64(diagonal[1, i, j])
             if count == 3:

@@ -14,9 +14,8 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
-from napari_hmrf.solver.backends.cpu.compiled import parallel
+from napari_hmrf.solver.backends.cpu.compiled import disjoint_parallel, parallel, portion
 from napari_hmrf.solver.backends.cpu.level import Vector
 from napari_hmrf.solver.backends.cpu.vectors import row_product
 
@@ -99,18 +98,18 @@ def _add(some: Vector, shares: npt.NDArray[np.floating], total: Vector) -> None:
 
 
 @parallel
-def _row_products(ones: Any, others: Any, rows: Any) -> None:
+def _row_products(thread: Any, ones: Any, others: Any, rows: Any) -> None:
     """Compute the contribution of each row to `_products`."""
-    for i in prange(len(rows)):
+    for i in portion(thread, len(rows)):
         for k in range(len(ones)):
             for n in range(min(k + 1, len(others))):
                 rows[i, k, n] = row_product(ones[k], others[n], i + 2)
 
 
-@parallel
-def _turn(steepest: Any, direction: Any, share: Any, some: Any, shares: Any) -> None:
+@disjoint_parallel
+def _turn(thread: Any, steepest: Any, direction: Any, share: Any, some: Any, shares: Any) -> None:
     """Compute ``direction = steepest + share * direction`` plus a weighted sum of vectors."""
-    for i in prange(direction.shape[1]):
+    for i in portion(thread, direction.shape[1]):
         for component in range(2):
             for j in range(direction.shape[2]):
                 direction[component, i, j] = (

@@ -17,14 +17,16 @@ consists of the table of rows, the spans, and the width of a padded row.
 from __future__ import annotations
 
 import numpy as np
-from numba import float32, prange
+from numba import float32
 
 from napari_hmrf.solver.backends.cpu.compiled import (
     alone,
     callee,
     disjoint_callee,
+    disjoint_parallel,
     inline,
     parallel,
+    portion,
 )
 from napari_hmrf.solver.backends.cpu.data_weights import filtered
 from napari_hmrf.solver.backends.cpu.forces import (
@@ -73,12 +75,12 @@ def apply_part(d, lame, inverse, data, shape, where, out, row_totals, first, las
 
 
 @parallel
-def apply(d, lame, inverse, data, shape, where, out, row_totals, count):
+def apply(thread, d, lame, inverse, data, shape, where, out, row_totals, count):
     """Write A d to `out`, or 0 at fixed components; store d . A d per row in `row_totals`.
 
     `data` contains the tensors of the data term, in double precision, or is None.
     """
-    for number in prange(count):
+    for number in portion(thread, count):
         first, last = part(number, count, len(where[1]))
         apply_part(d, lame, inverse, data, shape, where, out, row_totals, first, last)
 
@@ -137,14 +139,28 @@ def _smooth_part(d, tissue, weights, mixed, where, out, pace, first, last):
 
 @parallel
 def smooth(
-    d, load, lame, inverse, weight, springs, mixed, shape, where, out, scale, ahead, back, count
+    thread,
+    d,
+    load,
+    lame,
+    inverse,
+    weight,
+    springs,
+    mixed,
+    shape,
+    where,
+    out,
+    scale,
+    ahead,
+    back,
+    count,
 ):
     """Compute a Chebyshev step with the coefficients `scale`, `ahead` and `back`.
 
     The step is ``out = d + scale * D^-1 (load - (A + W) d) + ahead * d - back * out``. On entry,
     `out` contains the displacement before the previous step.
     """
-    for number in prange(count):
+    for number in portion(thread, count):
         first, last = part(number, count, len(where[1]))
         tissue, pace = (load, lame, inverse, shape), (scale, ahead, back)
         _smooth_part(d, tissue, (weight, springs), mixed, where, out, pace, first, last)
@@ -195,13 +211,27 @@ def _begin_part(tissue, weights, mixed, where, out, start, pace, first, last):
 
 @parallel
 def begin(
-    load, lame, inverse, weight, springs, mixed, shape, where, out, start, scale, ahead, back, count
+    thread,
+    load,
+    lame,
+    inverse,
+    weight,
+    springs,
+    mixed,
+    shape,
+    where,
+    out,
+    start,
+    scale,
+    ahead,
+    back,
+    count,
 ):
     """Compute the first two Chebyshev steps from zero.
 
     The first step is ``start * D^-1 load``; the second step is `smooth` applied to the first.
     """
-    for number in prange(count):
+    for number in portion(thread, count):
         first, last = part(number, count, len(where[1]))
         tissue, pace = (load, lame, inverse, shape), (scale, ahead, back)
         _begin_part(tissue, (weight, springs), mixed, where, out, start, pace, first, last)
@@ -254,8 +284,9 @@ def _leave_part(d, tissue, weights, mixed, where, coarse, of_coarse, columns, fi
                 )
 
 
-@parallel
+@disjoint_parallel
 def leave(
+    thread,
     d,
     load,
     lame,
@@ -275,18 +306,17 @@ def leave(
     With a data term, the residual is filtered (`data_weights`). `of_coarse` is the table of coarse
     rows, and `columns` contains the columns of each that are written.
     """
-    for number in prange(count):
+    for number in portion(thread, count):
         first, last = part(number, count, len(of_coarse) - 4)
         tissue, weights = (load, lame, inverse, shape), (weight, springs)
         _leave_part(d, tissue, weights, mixed, where, coarse, of_coarse, columns, first, last)
 
 
 @parallel
-def interpolate(coarse, of_coarse, fine, inverse, where):
+def interpolate(thread, coarse, of_coarse, fine, inverse, where):
     """Compute `vectors.interpolate` within the spans of the fine rows."""
     at, spans, _ = where
-    for n in prange(len(spans)):
-        i = np.int64(n)
+    for i in portion(thread, len(spans)):
         begin, past = spans[i, 0], spans[i, 1]
         if past > begin:
             begin -= begin % 2

@@ -9,13 +9,15 @@ evaluate the convergence criterion.
 from __future__ import annotations
 
 import numpy as np
-from numba import float32, prange
+from numba import float32
 
 from napari_hmrf.solver.backends.cpu.compiled import (
     callee,
     contracted_reduction,
     disjoint_callee,
+    disjoint_parallel,
     parallel,
+    portion,
     shared,
 )
 from napari_hmrf.solver.backends.cpu.forces import left_of, pair, part, place, row_force, rows_of
@@ -75,6 +77,7 @@ def _balance_part(
 
 @parallel
 def balance(
+    thread,
     d,
     load,
     given,
@@ -98,7 +101,7 @@ def balance(
     On return, `row_most` contains the largest absolute value of each row, and `row_squares` the sum
     of its squares.
     """
-    for number in prange(count):
+    for number in portion(thread, count):
         first, last = part(number, count, len(where[1]))
         tissue = lame, inverse, shape
         _balance_part(
@@ -146,13 +149,13 @@ def _work_part(d, lame, data, shape, where, row_products, row_squares, first, la
             row_products[i], row_squares[i] = product, square
 
 
-@parallel
-def work(d, lame, data, shape, where, row_products, row_squares, count):
+@disjoint_parallel
+def work(thread, d, lame, data, shape, where, row_products, row_squares, count):
     """Compute the contributions of each row to d . A d and ||A d||^2.
 
     `data` contains the tensors of the data term, which are part of A, or is None.
     """
-    for number in prange(count):
+    for number in portion(thread, count):
         first, last = part(number, count, len(row_products))
         _work_part(d, lame, data, shape, where, row_products, row_squares, first, last)
 
@@ -179,8 +182,8 @@ def _pull_part(d, lame, shape, where, out, first, last):
 
 
 @parallel
-def pull(d, lame, shape, where, out, count):
+def pull(thread, d, lame, shape, where, out, count):
     """Write -A d to `out`, including its values at prescribed components."""
-    for number in prange(count):
+    for number in portion(thread, count):
         first, last = part(number, count, len(where[1]))
         _pull_part(d, lame, shape, where, out, first, last)

@@ -8,19 +8,23 @@ border of zeros, two sites wide.
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 
-from napari_hmrf.solver.backends.cpu.compiled import reduction, strict_parallel
+from napari_hmrf.solver.backends.cpu.compiled import (
+    disjoint_strict_parallel,
+    portion,
+    reduction,
+    strict_parallel,
+)
 
 
 @strict_parallel
-def prescribe(y, observed, share, first, one, second, two, d, held):
+def prescribe(thread, y, observed, share, first, one, second, two, d, held):
     """Set `d` to ``share * y`` and `held` to True at observed components.
 
     All other components of `d` are set to ``one * first + two * second``. The arrays `first` and
     `second` have shape (H, W, 2) and may contain NaN if their factor is 0.
     """
-    for i in prange(y.shape[0]):
+    for i in portion(thread, y.shape[0]):
         for j in range(y.shape[1]):
             for k in range(2):
                 here = observed[i, j, k]
@@ -31,9 +35,9 @@ def prescribe(y, observed, share, first, one, second, two, d, held):
 
 
 @strict_parallel
-def blend(values, weight, held, d):
+def blend(thread, values, weight, held, d):
     """Add ``weight * values``, shape (H, W, 2), to `d` except at held components."""
-    for i in prange(values.shape[0]):
+    for i in portion(thread, values.shape[0]):
         for j in range(values.shape[1]):
             for k in range(2):
                 if not held[k, i + 2, j + 2]:
@@ -53,26 +57,26 @@ def _settle_row(values, tissue, unit):
 
 
 @strict_parallel
-def settle(values, tissue, unit, row_finite):
+def settle(thread, values, tissue, unit, row_finite):
     """Multiply values by `unit` in tissue and by 0 elsewhere; flag the rows that are finite."""
     flat = values.reshape(values.shape[0], -1)
-    for i in prange(values.shape[0]):
+    for i in portion(thread, values.shape[0]):
         row_finite[i] = _settle_row(flat[i], tissue[i], unit)
 
 
-@strict_parallel
-def add(d, correction, scale):
+@disjoint_strict_parallel
+def add(thread, d, correction, scale):
     """Add ``scale * correction`` to `d` in place."""
-    for i in prange(d.shape[1]):
+    for i in portion(thread, d.shape[1]):
         for k in range(2):
             for j in range(d.shape[2]):
                 d[k, i, j] += scale * correction[k, i, j]
 
 
-@strict_parallel
-def gather(d, out):
+@disjoint_strict_parallel
+def gather(thread, d, out):
     """Copy planes to `out` of shape (H, W, 2), in single precision."""
-    for i in prange(out.shape[0]):
+    for i in portion(thread, out.shape[0]):
         for j in range(out.shape[1]):
             out[i, j, 0] = np.float32(d[0, i + 2, j + 2])
             out[i, j, 1] = np.float32(d[1, i + 2, j + 2])

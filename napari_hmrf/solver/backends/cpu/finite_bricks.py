@@ -18,14 +18,20 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import prange
 
 from napari_hmrf.solver.backends.cpu.bernstein import (
     barrier_energy,
     barrier_forces,
     longest_step,
 )
-from napari_hmrf.solver.backends.cpu.compiled import callee, parallel, shared
+from napari_hmrf.solver.backends.cpu.compiled import (
+    by_parity,
+    callee,
+    portion,
+    scratch_parallel,
+    shared,
+)
+from napari_hmrf.solver.backends.cpu.forces import clear
 
 #: Number of elements of a block; a line of scratch memory has room for all elements of a block.
 BLOCK = 64
@@ -314,14 +320,14 @@ def _energy_plane(d, solid, q, barrier, z, f, points, edges, net):
     return total, least
 
 
-@parallel
-def energy(d, solid, q, barrier, energies, least):
+@scratch_parallel
+def energy(thread, d, solid, q, barrier, energies, least):
     """Compute the energy of each plane of elements, and a bound below their Jacobians.
 
     The bound is the least Bernstein coefficient where it is less than the start of the barrier.
     Folded elements contribute no energy. `barrier` has the strength and the start of the barrier.
     """
-    for n in prange(d.shape[1] - 4):
+    for n in portion(thread, d.shape[1] - 4):
         f, points = np.zeros(FLOATS), np.zeros(POINTS)
         edges, net = np.empty((3, 4, 3)), np.empty(27)
         made = _energy_plane(d, solid, q, barrier, n + 2, f, points, edges, net)
@@ -438,17 +444,18 @@ def _forces_plane(d, solid, q, barrier, z, f, points, edges, net, pulls, out):
             add_pulls(f, z, y, begin, count, out)
 
 
-@parallel
-def forces(d, solid, q, barrier, out):
+@by_parity
+def forces(thread, d, solid, q, barrier, out):
     """Compute the gradient of the energy with respect to the displacement of each site."""
-    out[:] = 0
-    planes = d.shape[1] - 4
-    for odd in range(2):
-        for half in prange((planes + 1 - odd) // 2):
+    if thread[2] == 0:
+        clear(thread, out)
+    else:
+        odd = thread[2] - 1
+        for half in portion(thread, (d.shape[1] - 3 - odd) // 2):
             f, points = np.zeros(FLOATS), np.zeros(POINTS)
             edges, net = np.empty((3, 4, 3)), np.empty(27)
             pulls = np.empty((3, 4, 3))
-            z = 2 * np.int64(half) + odd + 2
+            z = 2 * half + odd + 2
             _forces_plane(d, solid, q, barrier, z, f, points, edges, net, pulls, out)
 
 
@@ -529,20 +536,21 @@ def _image_plane(d, way, solid, q, positive, z, f, points, out):
             add_pulls(f, z, y, begin, count, out)
 
 
-@parallel
-def image(d, way, solid, q, positive, out):
+@by_parity
+def image(thread, d, way, solid, q, positive, out):
     """Compute the second derivative of the energy in the direction `way`, without the barrier.
 
     `positive` is the share of the indefinite terms that is left out; with 1 the matrix is positive
     definite. The precision is that of `way`.
     """
-    out[:] = 0
-    planes = d.shape[1] - 4
-    for odd in range(2):
-        for half in prange((planes + 1 - odd) // 2):
+    if thread[2] == 0:
+        clear(thread, out)
+    else:
+        odd = thread[2] - 1
+        for half in portion(thread, (d.shape[1] - 3 - odd) // 2):
             f = np.zeros(FLOATS, dtype=way.dtype)
             points = np.zeros(POINTS, dtype=way.dtype)
-            z = 2 * np.int64(half) + odd + 2
+            z = 2 * half + odd + 2
             _image_plane(d, way, solid, q, positive, z, f, points, out)
 
 
@@ -582,14 +590,14 @@ def _length_plane(d, way, solid, q, part, floor, z, f, work, each):
     return least
 
 
-@parallel
-def length(d, way, solid, q, part, floor, plane_length, each):
+@scratch_parallel
+def length(thread, d, way, solid, q, part, floor, plane_length, each):
     """Compute the largest step along `way` for each plane of elements, infinite if it is above 1.
 
     Each Bernstein coefficient stays at least `part` of its present value, and above `floor`; see
     `bernstein.longest_step`. Unless `each` is empty, it gets the largest step of each element.
     """
-    for n in prange(d.shape[1] - 4):
+    for n in portion(thread, d.shape[1] - 4):
         f, edges, ways = np.zeros(FLOATS), np.empty((3, 4, 3)), np.empty((3, 4, 3))
         moved, nets = np.empty((3, 4, 3)), np.empty((4, 27))
         work = edges, ways, moved, nets[0], nets[1], nets[2], nets[3]
@@ -661,13 +669,13 @@ def _element_matrix(d, solid, q, positive, z, y, x, f, points, slopes, tilts, ra
             out[i, j] += bulk * rate[i] * rate[j]
 
 
-@parallel
-def add_element_matrices(d, elements, solid, q, positive, out):
+@scratch_parallel
+def add_element_matrices(thread, d, elements, solid, q, positive, out):
     """Add the second derivatives of some elements, as in `image`, to `out`, (N, 24, 24).
 
     The order of components is that of `bernstein.barrier_matrices`.
     """
-    for n in prange(len(elements)):
+    for n in portion(thread, len(elements)):
         f, points, made = np.zeros(FLOATS), np.zeros(POINTS), np.empty((24, 24))
         slopes, tilts, rate = np.empty((8, 3)), np.empty(24), np.empty(24)
         z, y, x = elements[n]

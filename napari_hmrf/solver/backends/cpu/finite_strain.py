@@ -17,9 +17,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import prange
 
-from napari_hmrf.solver.backends.cpu.compiled import callee, inline, parallel
+from napari_hmrf.solver.backends.cpu.compiled import callee, disjoint_parallel, inline, portion
 
 # Indices of the parameters of an element in `solid`.
 SHEAR, FIRST, WHOLE, TWIST, RR, RC, CC = np.arange(7)
@@ -127,14 +126,14 @@ def _energy_part(d, solid, about, row_energy, row_least, first, last):
         row_least[i - 2] = least
 
 
-@parallel
-def energy(d, solid, about, row_energy, row_least, count):
+@disjoint_parallel
+def energy(thread, d, solid, about, row_energy, row_least, count):
     """Compute the energy and the smallest corner Jacobian of each row of elements.
 
     The Jacobian includes growth. Folded elements contribute no energy.
     """
     height = len(row_energy)
-    for number in prange(count):
+    for number in portion(thread, count):
         first, last = number * height // count, (number + 1) * height // count
         _energy_part(d, solid, about, row_energy, row_least, first, last)
 
@@ -192,11 +191,11 @@ def _forces_part(d, solid, about, out, first, last):
         above, here = here, above
 
 
-@parallel
-def forces(d, solid, about, out, count):
+@disjoint_parallel
+def forces(thread, d, solid, about, out, count):
     """Compute the gradient of the energy with respect to the displacement of each site."""
     height = d.shape[1] - 4
-    for number in prange(count):
+    for number in portion(thread, count):
         first, last = number * height // count, (number + 1) * height // count
         _forces_part(d, solid, about, out, first, last)
 
@@ -261,14 +260,14 @@ def _length_part(d, way, solid, about, part, floor, row_length, first, last, eac
         row_length[i - 2] = least
 
 
-@parallel
-def length(d, way, solid, about, part, floor, row_length, each, count):
+@disjoint_parallel
+def length(thread, d, way, solid, about, part, floor, row_length, each, count):
     """Compute the largest valid step along `way` for each row of elements.
 
     A step is valid if each corner Jacobian stays above `part` times its current value and above
     `floor`. If `each` is not empty, the largest step of each element is stored in it.
     """
     height = len(row_length)
-    for number in prange(count):
+    for number in portion(thread, count):
         first, last = number * height // count, (number + 1) * height // count
         _length_part(d, way, solid, about, part, floor, row_length, first, last, each)

@@ -11,9 +11,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import prange
 
-from napari_hmrf.solver.backends.cpu.compiled import alone, callee, inline, parallel
+from napari_hmrf.solver.backends.cpu.compiled import (
+    alone,
+    callee,
+    disjoint_parallel,
+    inline,
+    portion,
+)
 from napari_hmrf.solver.backends.cpu.finite_strain import (
     CC,
     FIRST,
@@ -268,8 +273,8 @@ def _tangent_part(d, solid, about, positive, calm, out, cycled, first, last):
                 cycled[13, i, j] = max(1.0, _spread(tangent) / calm)
 
 
-@parallel
-def tangents(d, solid, about, positive, calm, out, cycled, count):
+@disjoint_parallel
+def tangents(thread, d, solid, about, positive, calm, out, cycled, count):
     """Compute the tangent of each element (21 numbers), and a positive tangent for cycles (13).
 
     The tangent in `out` is (1 - positive) times the exact tangent plus `positive` times the
@@ -277,7 +282,7 @@ def tangents(d, solid, about, positive, calm, out, cycled, count):
     element's matrix relative to `calm`, and at least 1.
     """
     height = d.shape[1] - 4
-    for number in prange(count):
+    for number in portion(thread, count):
         first, last = number * height // count, (number + 1) * height // count
         _tangent_part(d, solid, about, positive, calm, out, cycled, first, last)
 

@@ -9,9 +9,9 @@ documents the equations and the names.
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
 from __future__ import annotations
 
-from numba import get_num_threads, int64
+from numba import get_num_threads
 
-from napari_hmrf.solver.backends.cpu.compiled import inline, shared
+from napari_hmrf.solver.backends.cpu.compiled import callee, inline, portion, shared
 
 # Smallest number of rows per thread; with fewer rows, too many rows would be computed twice.
 _FEW_ROWS = 16
@@ -196,7 +196,14 @@ def parts(height: int) -> int:
     return max(1, min(get_num_threads(), height // _FEW_ROWS))
 
 
+@callee
+def clear(thread, out):
+    """Set one thread's planes of the vectors `out` to 0."""
+    for i in portion(thread, out.shape[1]):
+        out[:, i] = 0
+
+
 @inline
 def part(number, count, height):
     """Return the start and stop row of thread `number` out of `count` threads."""
-    return int64(number) * height // count, (int64(number) + 1) * height // count
+    return number * height // count, (number + 1) * height // count

@@ -7,10 +7,9 @@ from an assembled stencil, because cancellation in its float32 sums would cause 
 pixels in large images.
 
 The loops over a row vectorize for three reasons: they have no branches, they count from zero (numba
-wraps indices that may be negative), and they are inside the parallel loop, where the compiler can
-assume that arrays do not overlap. After a change, check that the generated code still contains many
-``<16 x float>`` or ``<8 x float>``. Row numbers are converted to a signed type, because the counter
-of a parallel loop may be unsigned, and functions would then be compiled for both types.
+wraps indices that may be negative), and the compiler may assume that arrays do not overlap
+(`disjoint_parallel`). After a change, check that the generated code still contains many
+``<16 x float>`` or ``<8 x float>``.
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return"
@@ -18,9 +17,15 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba import float32, int64, prange
+from numba import float32
 
-from napari_hmrf.solver.backends.cpu.compiled import inline, parallel, reduction, shared
+from napari_hmrf.solver.backends.cpu.compiled import (
+    disjoint_parallel,
+    inline,
+    portion,
+    reduction,
+    shared,
+)
 
 # Displacements below this value, in pixels, are set to 0: denormal numbers are many times slower.
 _FLUSH = float32(1e-18)
@@ -255,11 +260,22 @@ def _row_total(values: Any, row: int, start: int, stop: int) -> float:
     return total
 
 
-@parallel
+@disjoint_parallel
 def sweeps(
-    even, odd, stiffness, observation, spans, weights, blanket, steps, relaxation, share, row_totals
+    thread,
+    even,
+    odd,
+    stiffness,
+    observation,
+    spans,
+    weights,
+    blanket,
+    steps,
+    relaxation,
+    share,
+    row_totals,
 ):
-    """Update all sites simultaneously, once per row of `row_totals`.
+    """Update all sites simultaneously, in one turn for each row of `row_totals`.
 
     The first sweep reads `even` and writes `odd`, the second does the reverse, and so on. `spans`
     contains the start and stop column of the tissue in each row. `weights` is None for square
@@ -269,33 +285,31 @@ def sweeps(
     options. On return, `row_totals` contains U_total before each sweep, per row; `share` is scratch
     memory.
     """
-    for sweep in range(len(row_totals)):
-        source, target = (even, odd) if sweep % 2 == 0 else (odd, even)
-        for number in prange(source.shape[1] - 4):
-            i = int64(number)
-            start = max(spans[i, 0], 0)
-            for k in range(spans[i, 1] - start):
-                j = start + k
-                if blanket is not None:
-                    a0, a1, b0, b1, prior = around(source, stiffness, weights, i, j)
-                elif weights is None:
-                    a0, a1, b0, b1, prior = square(source, stiffness, i, j)
-                else:
-                    a0, a1, b0, b1, prior = weighted(source, stiffness, weights, i, j)
-                share[i, j] = prior + _observed(source, observation, i + 2, j + 2)
-                new0, new1 = _moved(
-                    source, a0, a1, b0, b1, observation, steps, relaxation, i + 2, j + 2
-                )
-                target[0, i + 2, j + 2] = new0
-                target[1, i + 2, j + 2] = new1
-            row_totals[sweep, i] = _row_total(share, i, start, spans[i, 1])
+    sweep = thread[2]
+    source, target = (even, odd) if sweep % 2 == 0 else (odd, even)
+    for i in portion(thread, source.shape[1] - 4):
+        start = max(spans[i, 0], 0)
+        for k in range(spans[i, 1] - start):
+            j = start + k
+            if blanket is not None:
+                a0, a1, b0, b1, prior = around(source, stiffness, weights, i, j)
+            elif weights is None:
+                a0, a1, b0, b1, prior = square(source, stiffness, i, j)
+            else:
+                a0, a1, b0, b1, prior = weighted(source, stiffness, weights, i, j)
+            share[i, j] = prior + _observed(source, observation, i + 2, j + 2)
+            new0, new1 = _moved(
+                source, a0, a1, b0, b1, observation, steps, relaxation, i + 2, j + 2
+            )
+            target[0, i + 2, j + 2] = new0
+            target[1, i + 2, j + 2] = new1
+        row_totals[sweep, i] = _row_total(share, i, start, spans[i, 1])
 
 
-@parallel
-def energy(source, stiffness, spans, weights, share, row_totals):
+@disjoint_parallel
+def energy(thread, source, stiffness, spans, weights, share, row_totals):
     """Compute the energy of the cliques in each row; square pixels also require `weights`."""
-    for number in prange(source.shape[1] - 4):
-        i = int64(number)
+    for i in portion(thread, source.shape[1] - 4):
         start = max(spans[i, 0], 0)
         for k in range(spans[i, 1] - start):
             _, _, _, _, share[i, start + k] = weighted(source, stiffness, weights, i, start + k)

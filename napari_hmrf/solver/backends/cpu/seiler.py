@@ -17,9 +17,9 @@ of A is 1. With blanket cliques, A d is half the gradient of the clique energy i
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
 from __future__ import annotations
 
-from numba import float32, int64, prange
+from numba import float32
 
-from napari_hmrf.solver.backends.cpu.compiled import inline, parallel
+from napari_hmrf.solver.backends.cpu.compiled import disjoint_parallel, inline, parallel, portion
 from napari_hmrf.solver.backends.cpu.kernels import (
     around,
     middle_curvature,
@@ -65,17 +65,16 @@ def _rest(d, load, given, stiffness, weight, springs, lines, blanket, i, j):
     return row, col
 
 
-@parallel
+@disjoint_parallel
 def residual(
-    d, load, given, stiffness, inverse, weight, springs, lines, blanket, spans, share, out,
+    thread, d, load, given, stiffness, inverse, weight, springs, lines, blanket, spans, share, out,
     row_totals,
 ):  # fmt: skip
     """Write ``share * (given * load - (A + W) d)`` to `out`, or 0 at fixed components.
 
     Also store the scalar product d . out of each row in `row_totals`, unless it is empty.
     """
-    for number in prange(d.shape[1] - 4):
-        i = int64(number)
+    for i in portion(thread, d.shape[1] - 4):
         start = max(spans[i, 0], 0)
         for k in range(spans[i, 1] - start):
             j = start + k
@@ -87,11 +86,10 @@ def residual(
             row_totals[i] = row_product(d, out, i + 2)
 
 
-@parallel
-def pull(d, stiffness, lines, blanket, spans, out):
+@disjoint_parallel
+def pull(thread, d, stiffness, lines, blanket, spans, out):
     """Write -A d to `out` within the spans; square pixels also require `lines`."""
-    for number in prange(d.shape[1] - 4):
-        i = int64(number)
+    for i in portion(thread, d.shape[1] - 4):
         start = max(spans[i, 0], 0)
         for k in range(spans[i, 1] - start):
             j = start + k
@@ -100,15 +98,15 @@ def pull(d, stiffness, lines, blanket, spans, out):
             out[1, i + 2, j + 2] = col
 
 
-@parallel
-def balance(pulls, load, given, inverse, share, out, row_most, row_squares):
+@disjoint_parallel
+def balance(thread, pulls, load, given, inverse, share, out, row_most, row_squares):
     """Write ``share * (pulls + given * load)`` to `out` in float32, or 0 at fixed components.
 
     On return, `row_most` contains the largest absolute value of each row, and `row_squares` the sum
     of its squares.
     """
-    for number in prange(out.shape[1] - 4):
-        i = int64(number) + 2
+    for number in portion(thread, out.shape[1] - 4):
+        i = number + 2
         for component in range(len(out)):
             for j in range(out.shape[2]):
                 here = pulls[component, i, j] + given * load[component, i, j]
@@ -119,16 +117,28 @@ def balance(pulls, load, given, inverse, share, out, row_most, row_squares):
         row_squares[number] = row_product(out, out, i)
 
 
-@parallel
+@disjoint_parallel
 def smooth(
-    d, load, stiffness, inverse, weight, springs, lines, blanket, spans, step, out, scale, momentum
+    thread,
+    d,
+    load,
+    stiffness,
+    inverse,
+    weight,
+    springs,
+    lines,
+    blanket,
+    spans,
+    step,
+    out,
+    scale,
+    momentum,
 ):
     """Compute a Chebyshev step and the displacement ``out = d + step``.
 
     The step is ``step = scale * D^-1 (load - (A + W) d) + momentum * step``.
     """
-    for number in prange(d.shape[1] - 4):
-        i = int64(number)
+    for i in portion(thread, d.shape[1] - 4):
         start = max(spans[i, 0], 0)
         for k in range(spans[i, 1] - start):
             j = start + k
@@ -142,10 +152,10 @@ def smooth(
 
 
 @parallel
-def curvature(stiffness, lines, blanket, out):
+def curvature(thread, stiffness, lines, blanket, out):
     """Compute the curvature of each site's cliques; square pixels also require `lines`."""
-    for number in prange(out.shape[1] - 4):
-        i = int64(number) + 2
+    for number in portion(thread, out.shape[1] - 4):
+        i = number + 2
         for k in range(out.shape[2] - 4):
             j = k + 2
             a0, a1 = float32(0), float32(0)
@@ -166,14 +176,14 @@ def curvature(stiffness, lines, blanket, out):
             out[1, i, j] = a1
 
 
-@parallel
-def coarsen(fine, coarse, even):
+@disjoint_parallel
+def coarsen(thread, fine, coarse, even):
     """Compute the stiffness of coarse sites as the weighted mean of the tissue around them.
 
     A coarse site without tissue around it is void. On return, `even` contains the factor that
     scales a sum over the tissue around a site to a sum over complete surroundings.
     """
-    for i in prange(coarse.shape[1] - 4):
+    for i in portion(thread, coarse.shape[1] - 4):
         for j in range(coarse.shape[2] - 4):
             total, share = float32(0), float32(0)
             for a in range(3):
@@ -187,10 +197,10 @@ def coarsen(fine, coarse, even):
             even[i + 2, j + 2] = float32(4) / max(share, float32(1))
 
 
-@parallel
-def even_out(load, even):
+@disjoint_parallel
+def even_out(thread, load, even):
     """Multiply each component of a load by `even`, in place."""
-    for i in prange(load.shape[1] - 4):
+    for i in portion(thread, load.shape[1] - 4):
         for k in range(2):
             for j in range(load.shape[2]):
                 load[k, i + 2, j] *= even[i + 2, j]

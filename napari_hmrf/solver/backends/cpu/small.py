@@ -13,7 +13,7 @@ import numpy as np
 from numba import float32
 
 from napari_hmrf.solver.backends.cpu import forces, small_cycle
-from napari_hmrf.solver.backends.cpu.compiled import callee, disjoint_callee, shared, strict
+from napari_hmrf.solver.backends.cpu.compiled import ALONE, callee, disjoint_callee, shared, strict
 from napari_hmrf.solver.backends.cpu.data_weights import filtered, relaxed
 
 #: Number of model planes per level: the two Lame parameters.
@@ -124,7 +124,7 @@ def _residual_data(d, load, own, inverse, weight, shape, out):
 def _add_coarse_data(coarse, d, spare, own, inverse, weight):
     """Add the interpolated coarse correction, filtered (`data_weights`)."""
     spare[:] = 0
-    small_cycle.interpolate(coarse, spare, inverse)
+    small_cycle.interpolate(ALONE, coarse, spare, inverse)
     pairs = _blocks(inverse, weight, own)
     for k in range(_length(d)):
         j = _FIRST + k

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 
 from napari_hmrf.solver.backends.cpu import vectors
-from napari_hmrf.solver.backends.cpu.compiled import callee
+from napari_hmrf.solver.backends.cpu.compiled import ALONE, callee
 
 # Indices of a level's arrays, which have two planes each; the model planes are last. The indices
 # are NumPy integers, because numba would compile a function again for each Python constant.
 INVERSE, LOAD, CORRECTION, OTHER, PINS, WEIGHT, REST, MODEL = np.arange(8)
 
-_restrict = callee(vectors.restrict.py_func)
-interpolate = callee(vectors.interpolate.py_func)
+_restrict = callee(vectors.restrict.compiled.py_func)
+interpolate = callee(vectors.interpolate.compiled.py_func)
 
 
 @callee
@@ -48,7 +48,7 @@ def start(load, own, inverse, d, scale):
 @callee
 def add_coarse(coarse, d, spare, own, inverse, weight):
     """Add the interpolated coarse correction to `d`."""
-    interpolate(coarse, d, inverse)
+    interpolate(ALONE, coarse, d, inverse)
 
 
 def cycle_of(planes: Any, begin: Any, smooth: Any, rest: Any, add_coarse: Any) -> Any:
@@ -114,7 +114,7 @@ def cycle_of(planes: Any, begin: Any, smooth: Any, rest: Any, add_coarse: Any) -
                 d = _plane(values, table, k, OTHER if turned else CORRECTION)
                 weight, left = _plane(values, table, k, WEIGHT), _plane(values, table, k, REST)
                 rest(d, load, own, inverse, weight, about, left)
-                _restrict(left, _plane(values, table, k + 1, LOAD))
+                _restrict(ALONE, left, _plane(values, table, k + 1, LOAD))
         for back in range(last):
             k = last - 1 - back
             below = (len(coarsest) if back == 0 else len(down) + len(up)) % 2 == 1

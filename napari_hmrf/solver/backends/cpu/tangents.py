@@ -10,10 +10,10 @@ computes the forces of the elements, and the second loop adds them at the sites.
 from __future__ import annotations
 
 import numpy as np
-from numba import float32, prange
+from numba import float32
 
 from napari_hmrf.solver.backends.cpu import small_cycle
-from napari_hmrf.solver.backends.cpu.compiled import callee, parallel, strict
+from napari_hmrf.solver.backends.cpu.compiled import callee, disjoint_parallel, portion, strict
 from napari_hmrf.solver.backends.cpu.vectors import row_product
 
 #: Number of model planes per level: 13 numbers of each tangent, and its damping.
@@ -107,11 +107,11 @@ def _apply_part(d, tangent, inverse, coupled, weight, springs, out, row_totals, 
         above, here = here, above
 
 
-@parallel
-def apply(d, tangent, inverse, coupled, weight, springs, out, row_totals, count):
+@disjoint_parallel
+def apply(thread, d, tangent, inverse, coupled, weight, springs, out, row_totals, count):
     """Write (A + W) d to `out`, or 0 at fixed components; store d . out per row in `row_totals`."""
     height = d.shape[1] - 4
-    for number in prange(count):
+    for number in portion(thread, count):
         first, last = number * height // count, (number + 1) * height // count
         _apply_part(d, tangent, inverse, coupled, weight, springs, out, row_totals, first, last)
 
@@ -135,15 +135,15 @@ def _smooth_part(d, load, tangent, inverse, weight, springs, out, pace, first, l
         above, here = here, above
 
 
-@parallel
-def smooth(d, load, tangent, inverse, weight, springs, out, scale, ahead, back, count):
+@disjoint_parallel
+def smooth(thread, d, load, tangent, inverse, weight, springs, out, scale, ahead, back, count):
     """Compute a Chebyshev step with the coefficients `scale`, `ahead` and `back`.
 
     The step is ``out = d + scale * D^-1 (load - (A + W) d) + ahead * d - back * out``. On entry,
     `out` contains the displacement before the previous step.
     """
     height = d.shape[1] - 4
-    for number in prange(count):
+    for number in portion(thread, count):
         first, last = number * height // count, (number + 1) * height // count
         pace = scale, ahead, back
         _smooth_part(d, load, tangent, inverse, weight, springs, out, pace, first, last)
@@ -167,32 +167,32 @@ def _rest_part(d, load, tangent, inverse, weight, springs, out, first, last):
         above, here = here, above
 
 
-@parallel
-def rest(d, load, tangent, inverse, weight, springs, out, count):
+@disjoint_parallel
+def rest(thread, d, load, tangent, inverse, weight, springs, out, count):
     """Write load - (A + W) d to `out`, or 0 at fixed components."""
     height = d.shape[1] - 4
-    for number in prange(count):
+    for number in portion(thread, count):
         first, last = number * height // count, (number + 1) * height // count
         _rest_part(d, load, tangent, inverse, weight, springs, out, first, last)
 
 
-@parallel
-def start(load, inverse, scale, out):
+@disjoint_parallel
+def start(thread, load, inverse, scale, out):
     """Compute the first step from zero: ``out = scale * D^-1 load``."""
-    for i in prange(load.shape[1] - 4):
+    for i in portion(thread, load.shape[1] - 4):
         for component in range(2):
             for j in range(2, load.shape[2] - 2):
                 step = scale * inverse[component, i + 2, j] * load[component, i + 2, j]
                 out[component, i + 2, j] = step
 
 
-@parallel
-def coarsen(fine, coarse):
+@disjoint_parallel
+def coarsen(thread, fine, coarse):
     """Compute coarse tangents as the mean of four fine elements, where void counts as 0.
 
     The damping of a coarse element is the maximum over the four fine elements.
     """
-    for i in prange(coarse.shape[1] - 4):
+    for i in portion(thread, coarse.shape[1] - 4):
         for k in range(13):
             for j in range(coarse.shape[2] - 4):
                 a = fine[k, 2 * i + 2, 2 * j + 2] + fine[k, 2 * i + 2, 2 * j + 3]
@@ -204,10 +204,10 @@ def coarsen(fine, coarse):
             coarse[13, i + 2, j + 2] = max(a, b)
 
 
-@parallel
-def diagonal(tangent, out):
+@disjoint_parallel
+def diagonal(thread, tangent, out):
     """Compute the diagonal of the matrix for cycles, scaled by the damping of each element."""
-    for n in prange(tangent.shape[1] - 4):
+    for n in portion(thread, tangent.shape[1] - 4):
         i = n + 2
         for component in range(2):
             of_r, of_c, of_x, both = 2 * component, 3 + 2 * component, 10 + 2 * component, 6

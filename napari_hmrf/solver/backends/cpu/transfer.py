@@ -6,9 +6,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import float32, prange
+from numba import float32
 
-from napari_hmrf.solver.backends.cpu.compiled import strict_callee, strict_parallel
+from napari_hmrf.solver.backends.cpu.compiled import (
+    disjoint_strict_parallel,
+    portion,
+    strict_callee,
+)
 
 #: Width of the border of void around every array, in sites.
 PAD = 2
@@ -19,15 +23,15 @@ def padded(components: int, shape: tuple[int, ...]) -> np.ndarray[Any, np.dtype[
     return np.zeros((components, *(size + 2 * PAD for size in shape)), dtype=np.float32)
 
 
-@strict_parallel
-def prolong(coarse, coarse_stiffness, target, stiffness):
+@disjoint_strict_parallel
+def prolong(thread, coarse, coarse_stiffness, target, stiffness):
     """Interpolate a displacement bilinearly to the next finer level.
 
     Coarse sites in void have weight 0, and border sites are repeated outward.
     """
     height, width = target.shape[1] - 2 * PAD, target.shape[2] - 2 * PAD
     coarse_height, coarse_width = coarse.shape[1] - 2 * PAD, coarse.shape[2] - 2 * PAD
-    for i in prange(height):
+    for i in portion(thread, height):
         near_i = min(i // 2, coarse_height - 1)
         far_i = min(max(near_i + (1 if i % 2 else -1), 0), coarse_height - 1)
         for j in range(width):
@@ -61,11 +65,11 @@ def _nearest(i, size):
     return near + PAD, far + PAD
 
 
-@strict_parallel
-def prolong_volume(coarse, coarse_stiffness, target, stiffness):
+@disjoint_strict_parallel
+def prolong_volume(thread, coarse, coarse_stiffness, target, stiffness):
     """Interpolate a displacement trilinearly to the next finer level of a volume."""
-    for n in prange(target.shape[1] - 2 * PAD):
-        planes = _nearest(np.int64(n), coarse.shape[1] - 2 * PAD)
+    for n in portion(thread, target.shape[1] - 2 * PAD):
+        planes = _nearest(n, coarse.shape[1] - 2 * PAD)
         for i in range(target.shape[2] - 2 * PAD):
             rows = _nearest(i, coarse.shape[2] - 2 * PAD)
             for j in range(target.shape[3] - 2 * PAD):

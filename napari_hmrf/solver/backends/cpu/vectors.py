@@ -12,12 +12,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import float32, int32, int64, prange
+from numba import float32, int32, int64
 
 from napari_hmrf.solver.backends.cpu.compiled import (
     disjoint,
+    disjoint_parallel,
     inline,
     parallel,
+    portion,
     reduction,
     strict_callee,
 )
@@ -81,13 +83,13 @@ def spring_line(inverse, pins, weight, most, strength):
 
 
 @parallel
-def hold(inverse, at, held, of_held, pins, of_pins, tissue, spans):
+def hold(thread, inverse, at, held, of_held, pins, of_pins, tissue, spans):
     """Replace a diagonal with its reciprocal, or 0 where `held` is True; set `pins` to 1 or 0.
 
     Each array has a table of rows (`layout`). Visit only the columns `tissue` of each row; store
     the columns with components that move in `spans`.
     """
-    for n in prange(len(spans)):
+    for n in portion(thread, len(spans)):
         i = n + 2
         first, count = tissue[i, 0], tissue[i, 1] - tissue[i, 0]
         own, other, third = at[i] + first + 2, of_held[i] + first + 2, of_pins[i] + first + 2
@@ -101,13 +103,13 @@ def hold(inverse, at, held, of_held, pins, of_pins, tissue, spans):
 
 
 @parallel
-def spring(inverse, weight, at, pins, of_pins, most, strength, tissue, spans):
+def spring(thread, inverse, weight, at, pins, of_pins, most, strength, tissue, spans):
     """Set the springs of a coarser level, and replace its diagonal D with 1 / (D + springs).
 
     The strength of a spring is ``strength * min(pins, most) * diagonal``. `at` is the table of rows
     of `inverse` and `weight`; see `hold`.
     """
-    for n in prange(len(spans)):
+    for n in portion(thread, len(spans)):
         i = n + 2
         first, count = tissue[i, 0], tissue[i, 1] - tissue[i, 0]
         own, other = at[i] + first + 2, of_pins[i] + first + 2
@@ -122,13 +124,13 @@ def spring(inverse, weight, at, pins, of_pins, most, strength, tissue, spans):
         span(inverse[:, own : own + count], first, spans[n])
 
 
-@parallel
-def element_spans(shear, spans):
+@disjoint_parallel
+def element_spans(thread, shear, spans):
     """Store the start and stop column of the elements of each row that are not void in `spans`.
 
     `shear` contains the shear modulus of the elements of each padded row.
     """
-    for i in prange(len(spans)):
+    for i in portion(thread, len(spans)):
         begin, past = int64(0), int64(0)
         for j in range(shear.shape[1]):
             if shear[i, j] > 0:
@@ -139,20 +141,20 @@ def element_spans(shear, spans):
         spans[i, 1] = past
 
 
-@parallel
-def copy_rows(source, of_source, target, of_target, stored):
+@disjoint_parallel
+def copy_rows(thread, source, of_source, target, of_target, stored):
     """Copy the columns `stored` of each row from one layout to another."""
-    for i in prange(len(stored)):
+    for i in portion(thread, len(stored)):
         begin, past = stored[i, 0], stored[i, 1]
         for k in range(len(source)):
             for j in range(begin, past):
                 target[k, of_target[i] + j] = source[k, of_source[i] + j]
 
 
-@parallel
-def smooth_first(load, inverse, step, d, scale):
+@disjoint_parallel
+def smooth_first(thread, load, inverse, step, d, scale):
     """Compute the first Chebyshev step from d = 0: ``step = d = scale * D^-1 load``."""
-    for i in prange(load.shape[1] - 4):
+    for i in portion(thread, load.shape[1] - 4):
         for j in range(load.shape[2]):
             row = scale * inverse[0, i + 2, j] * load[0, i + 2, j]
             col = scale * inverse[1, i + 2, j] * load[1, i + 2, j]
@@ -177,10 +179,10 @@ def restrict_row(above, here, below, coarse):
 
 
 @parallel
-def restrict(fine, coarse):
+def restrict(thread, fine, coarse):
     """Apply the transpose of `interpolate`; coarse site i coincides with fine site 2 i."""
     past = coarse.shape[2] - 2
-    for i in prange(coarse.shape[1] - 4):
+    for i in portion(thread, coarse.shape[1] - 4):
         for component in range(len(coarse)):
             restrict_row(
                 fine[component, 2 * i + 1, 1:],
@@ -205,10 +207,10 @@ def interpolate_row(near, far, inverse, fine):
 
 
 @parallel
-def interpolate(coarse, fine, inverse):
+def interpolate(thread, coarse, fine, inverse):
     """Add the bilinearly interpolated coarse correction to the components that move."""
     past = fine.shape[2] - 2 + fine.shape[2] % 2  # the last pair may extend into the border
-    for i in prange(fine.shape[1] - 4):
+    for i in portion(thread, fine.shape[1] - 4):
         near = i // 2 + 2
         far = near + i % 2
         for component in range(2):
@@ -220,13 +222,13 @@ def interpolate(coarse, fine, inverse):
             )
 
 
-@parallel
-def advance(d, share, rest, direction, image, length, row_totals):
+@disjoint_parallel
+def advance(thread, d, share, rest, direction, image, length, row_totals):
     """Add ``share * direction`` to `d`, and subtract ``length * image`` from `rest`.
 
     Store ``rest . rest`` of each row in `row_totals`.
     """
-    for i in prange(d.shape[1] - 4):
+    for i in portion(thread, d.shape[1] - 4):
         for component in range(len(d)):
             for j in range(d.shape[2]):
                 d[component, i + 2, j] += share * direction[component, i + 2, j]
@@ -234,10 +236,10 @@ def advance(d, share, rest, direction, image, length, row_totals):
         row_totals[i] = row_product(rest, rest, i + 2)
 
 
-@parallel
-def lean(rest, direction, image, share, stride):
+@disjoint_parallel
+def lean(thread, rest, direction, image, share, stride):
     """Compute ``direction = rest + share * (direction - stride * image)``."""
-    for i in prange(direction.shape[1] - 4):
+    for i in portion(thread, direction.shape[1] - 4):
         for component in range(len(direction)):
             for j in range(direction.shape[2]):
                 direction[component, i + 2, j] = rest[component, i + 2, j] + share * (
@@ -245,10 +247,10 @@ def lean(rest, direction, image, share, stride):
                 )
 
 
-@parallel
-def product(a, b, row_totals):
+@disjoint_parallel
+def product(thread, a, b, row_totals):
     """Compute the scalar product of two vectors, per row."""
-    for i in prange(a.shape[1] - 4):
+    for i in portion(thread, a.shape[1] - 4):
         row_totals[i] = row_product(a, b, i + 2)
 
 
@@ -274,16 +276,16 @@ def row_largest(a: Any, row: int) -> Any:
     return np.int32(most).view(np.float32)
 
 
-@parallel
-def largest(a, row_most):
+@disjoint_parallel
+def largest(thread, a, row_most):
     """Compute the largest absolute value of each row."""
-    for i in prange(a.shape[1] - 4):
+    for i in portion(thread, a.shape[1] - 4):
         row_most[i] = row_largest(a, i + 2)
 
 
-@parallel
-def weigh(a, b, row_most, row_totals):
+@disjoint_parallel
+def weigh(thread, a, b, row_most, row_totals):
     """Compute `largest` of `a` and `product` of `a` and `b` in one pass."""
-    for i in prange(a.shape[1] - 4):
+    for i in portion(thread, a.shape[1] - 4):
         row_most[i] = row_largest(a, i + 2)
         row_totals[i] = row_product(a, b, i + 2)

@@ -18,14 +18,17 @@ tissue, so the output must already be 0 outside the spans.
 from __future__ import annotations
 
 import numpy as np
-from numba import float32, float64, get_num_threads, prange
+from numba import float32, float64, get_num_threads
 
 from napari_hmrf.solver.backends.cpu.compiled import (
     callee,
     contracted_reduction,
     disjoint,
+    disjoint_parallel,
     inline,
     parallel,
+    portion,
+    scratch_parallel,
     shared,
 )
 from napari_hmrf.solver.backends.cpu.forces import part
@@ -141,11 +144,11 @@ def _smooth_part(d, tissue, weights, mixed, load, inverse, where, out, pace, fir
                         )
 
 
-@parallel
+@disjoint_parallel
 def smooth(
-    d, other, load, lame, share, inverse, weight, springs, mixed, shape, where, paces, count
+    thread, d, other, load, lame, share, inverse, weight, springs, mixed, shape, where, paces, count
 ):
-    """Run Chebyshev steps with the coefficients (scale, ahead, back) in `paces`.
+    """Run Chebyshev steps with the coefficients (scale, ahead, back) in `paces`, one in each turn.
 
     A step is ``other = d + scale * D^-1 (load - (A + W) d) + ahead * d - back * other``. On entry,
     `other` contains the displacement before the previous step. The two arrays swap roles after each
@@ -153,24 +156,24 @@ def smooth(
     None. `where` consists of the table of rows, the spans, and the width of a padded plane.
     """
     at = where[0]
-    for step in range(len(paces)):
-        source, target = (d, other) if step % 2 == 0 else (other, d)
-        pace = paces[step, 0], paces[step, 1], paces[step, 2]
-        tissue, weights = (lame, share, shape), (weight, springs)
-        for number in prange(count):
-            first, last = part(number, count, len(at) - 4)
-            _smooth_part(
-                source, tissue, weights, mixed, load, inverse, where, target, pace, first, last
-            )
+    step = thread[2]
+    source, target = (d, other) if step % 2 == 0 else (other, d)
+    pace = paces[step, 0], paces[step, 1], paces[step, 2]
+    tissue, weights = (lame, share, shape), (weight, springs)
+    for number in portion(thread, count):
+        first, last = part(number, count, len(at) - 4)
+        _smooth_part(
+            source, tissue, weights, mixed, load, inverse, where, target, pace, first, last
+        )
 
 
-@parallel
-def start(load, inverse, mixed, d, scale):
+@disjoint_parallel
+def start(thread, load, inverse, mixed, d, scale):
     """Compute the first step from zero, ``d = scale * D^-1 load``, for arrays from `level.rows`.
 
     `mixed` is None without a data term.
     """
-    for i in prange(d.shape[1]):
+    for i in portion(thread, d.shape[1]):
         for k in range(len(d)):
             for j in range(d.shape[2]):
                 d[k, i, j] = scale * inverse[k, i, j] * load[k, i, j]
@@ -256,10 +259,10 @@ def _leave_part(d, tissue, weight, mixed, load, inverse, where, out, first, last
 
 
 @parallel
-def filtered_rest(d, load, lame, share, inverse, weight, mixed, shape, where, out, count):
+def filtered_rest(thread, d, load, lame, share, inverse, weight, mixed, shape, where, out, count):
     """Write the residual load - (A + W) d, filtered for the data term (`data_weights`)."""
     at = where[0]
-    for number in prange(count):
+    for number in portion(thread, count):
         first, last = part(number, count, len(at) - 4)
         tissue = lame, share, shape
         _leave_part(d, tissue, weight, mixed, load, inverse, where, out, first, last)
@@ -299,8 +302,9 @@ def _rest_part(d, of_d, tissue, weights, mixed, loads, inverse, where, out, firs
                         )
 
 
-@parallel
+@disjoint_parallel
 def rest(
+    thread,
     d,
     load,
     given,
@@ -322,7 +326,7 @@ def rest(
     `of_d` is the table of rows of `d` and `load`, which may differ from that of the other arrays.
     """
     at = where[0]
-    for number in prange(count):
+    for number in portion(thread, count):
         first, last = part(number, count, len(at) - 4)
         tissue, weights, loads = (lame, share, shape), (weight, springs), (load, given, scale)
         _rest_part(d, of_d, tissue, weights, mixed, loads, inverse, where, out, first, last)
@@ -348,13 +352,13 @@ def _pull_part(d, of_d, tissue, where, out, first, last):
 
 
 @parallel
-def pull(d, of_d, lame, share, shape, where, out, count):
+def pull(thread, d, of_d, lame, share, shape, where, out, count):
     """Write -A d to `out`, including its values at prescribed components.
 
     `of_d` is the table of rows of `d` and `out`, and `where` contains the spans of the tissue.
     """
     at = where[0]
-    for number in prange(count):
+    for number in portion(thread, count):
         first, last = part(number, count, len(at) - 4)
         _pull_part(d, of_d, (lame, share, shape), where, out, first, last)
 
@@ -405,15 +409,15 @@ def _work_part(d, of_d, tissue, data, where, products, squares, first, last):
                         squares[z - 2] += square
 
 
-@parallel
-def work(d, of_d, lame, share, data, shape, where, products, squares, count):
+@disjoint_parallel
+def work(thread, d, of_d, lame, share, data, shape, where, products, squares, count):
     """Add d . A d and ||A d||^2 of each plane to `products` and `squares`.
 
     `of_d` is the table of rows of `d`, and `where` contains the spans of the tissue. `data`
     contains the tensors of the data term, which are part of A, or is None.
     """
     at = where[0]
-    for number in prange(count):
+    for number in portion(thread, count):
         first, last = part(number, count, len(at) - 4)
         _work_part(d, of_d, (lame, share, shape), data, where, products, squares, first, last)
 
@@ -442,12 +446,12 @@ def _square_line(rest):
 
 
 @parallel
-def advance(d, of_d, share, rest, direction, image, length, at, spans, totals):
+def advance(thread, d, of_d, share, rest, direction, image, length, at, spans, totals):
     """Add ``share * direction`` to `d`, and subtract ``length * image`` from `rest`.
 
     Store ``rest . rest`` of each plane in `totals`. `of_d` is the table of rows of `d`.
     """
-    for n in prange(len(at) - 4):
+    for n in portion(thread, len(at) - 4):
         z, total = n + 2, 0.0
         for y in range(2, at.shape[1] - 2):
             i, count = at[z, y] + spans[z, y, 0] + 2, spans[z, y, 1] - spans[z, y, 0]
@@ -477,15 +481,15 @@ def _sum_pairs(line, coarse):
         coarse[x] = line[2 * x + 1] + half * (line[2 * x] + line[2 * x + 2])
 
 
-@parallel
-def restrict(fine, of_fine, stored, coarse, of_coarse, spans):
+@scratch_parallel
+def restrict(thread, fine, of_fine, stored, coarse, of_coarse, spans):
     """Apply the transpose of `interpolate`; coarse site i coincides with fine site 2 i.
 
     `stored` contains the stored columns of each fine row, and `spans` those of each coarse row that
     are written.
     """
-    for n in prange(len(of_coarse) - 4):
-        z = 2 * np.int64(n) + 2
+    for n in portion(thread, len(of_coarse) - 4):
+        z = 2 * n + 2
         sums = np.empty(2 * np.int64(spans[n + 2, :, 1].max()) + 4, dtype=fine.dtype)
         for m in range(of_coarse.shape[1] - 4):
             y, begin, past = 2 * m + 2, spans[n + 2, m + 2, 0] + 2, spans[n + 2, m + 2, 1] + 2
@@ -538,14 +542,13 @@ def _mean_of_rows(coarse, of_coarse, k, n, m, first, line):
     )
 
 
-@parallel
-def interpolate(coarse, of_coarse, fine, of_fine, inverse, spans):
+@scratch_parallel
+def interpolate(thread, coarse, of_coarse, fine, of_fine, inverse, spans):
     """Add the trilinearly interpolated coarse correction to the components that move.
 
     `spans` contains the columns of each fine row with components that move.
     """
-    for number in prange(len(of_fine) - 4):
-        n = np.int64(number)
+    for n in portion(thread, len(of_fine) - 4):
         means = np.empty(np.int64(spans[n + 2, :, 1].max()) // 2 + 4, dtype=fine.dtype)
         for m in range(of_fine.shape[1] - 4):
             begin, past = spans[n + 2, m + 2, 0], spans[n + 2, m + 2, 1]
@@ -579,14 +582,13 @@ def _add_relaxed_line(lines, inverse, weight, mixed, block, out):
         out_2[x] += k - (block_02[x] * row + block_12[x] * col + inverse_2[x] * end)
 
 
-@parallel
-def add_relaxed(coarse, of_coarse, fine, of_fine, inverse, weight, mixed, spans):
+@scratch_parallel
+def add_relaxed(thread, coarse, of_coarse, fine, of_fine, inverse, weight, mixed, spans):
     """Interpolate a coarse correction, filter it for the data term, and add it to `fine`.
 
     `spans` contains the columns of each fine row with components that move.
     """
-    for number in prange(len(of_fine) - 4):
-        n = np.int64(number)
+    for n in portion(thread, len(of_fine) - 4):
         most = np.int64(spans[n + 2, :, 1].max())
         means, lines = np.empty(most // 2 + 4, fine.dtype), np.zeros((3, most + 4), fine.dtype)
         for m in range(of_fine.shape[1] - 4):
@@ -630,15 +632,15 @@ def _sum_line(near, right, far, across, line):
         line[x] = total if low > 0 else 0.0
 
 
-@parallel
-def elements(m, each, one, scale, lame):
+@scratch_parallel
+def elements(thread, m, each, one, scale, lame):
     """Compute the parameters of each element from the means of its sites; 0 if a site is void.
 
     If `one` is True, Poisson's ratio is uniform, and mu is `scale` times the sum of `m` over the
     corners. Otherwise, `each` contains the ratio at each site, and `scale` times the sum is Young's
     modulus.
     """
-    for n in prange(m.shape[0] - 1):
+    for n in portion(thread, m.shape[0] - 1):
         total, ratio = np.empty(m.shape[2] - 1), np.empty(m.shape[2] - 1)
         for y in range(m.shape[1] - 1):
             shear = lame[0, n + 2, y + 2, 2:]
@@ -663,13 +665,13 @@ def elements(m, each, one, scale, lame):
 
 
 @parallel
-def coarsen(fine, coarse):
+def coarsen(thread, fine, coarse):
     """Compute the parameters of coarse elements: a quarter of the sum over eight fine elements.
 
     This is twice their mean, because the energy of an element is proportional to its side length.
     """
     quarter = float32(0.25)
-    for n in prange(coarse.shape[1] - 4):
+    for n in portion(thread, coarse.shape[1] - 4):
         for k in range(len(coarse)):
             for y in range(coarse.shape[2] - 4):
                 out = coarse[k, n + 2, y + 2]
@@ -694,9 +696,9 @@ def _diagonal_line(near, right, far, across, factor, line):
 
 
 @parallel
-def diagonal(lame, share, shape, at, spans, out):
+def diagonal(thread, lame, share, shape, at, spans, out):
     """Compute the diagonal of the stiffness matrix within the spans of the tissue."""
-    for n in prange(len(at) - 4):
+    for n in portion(thread, len(at) - 4):
         z, last = n + 2, len(lame) - 1
         for k in range(3):
             stretch, slide = share * shape[k] * shape[k], float32(16) * shape[9 + k]

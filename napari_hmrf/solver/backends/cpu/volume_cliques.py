@@ -18,9 +18,16 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import float32, int64, prange
+from numba import float32
 
-from napari_hmrf.solver.backends.cpu.compiled import callee, inline, parallel, reduction, shared
+from napari_hmrf.solver.backends.cpu.compiled import (
+    callee,
+    inline,
+    parallel,
+    portion,
+    reduction,
+    shared,
+)
 from napari_hmrf.solver.backends.cpu.kernels import change, downhill, middle_curvature, minimiser
 from napari_hmrf.solver.priors import line_steps
 
@@ -224,8 +231,10 @@ def _sweep_row(source, target, stiffness, observation, span, lines, offsets, ste
 
 
 @parallel
-def sweeps(even, odd, stiffness, observation, spans, lines, offsets, steps, relaxation, row_totals):
-    """Update all sites simultaneously, once per row of `row_totals`.
+def sweeps(
+    thread, even, odd, stiffness, observation, spans, lines, offsets, steps, relaxation, row_totals
+):
+    """Update all sites simultaneously, in one turn for each row of `row_totals`.
 
     The energy of a site includes only the cliques centred at it. The first sweep reads `even` and
     writes `odd`, the second does the reverse, and so on. `spans` contains the start and stop column
@@ -233,11 +242,10 @@ def sweeps(even, odd, stiffness, observation, spans, lines, offsets, steps, rela
     empty, a site moves to the minimum of its local energy. On return, `row_totals` contains U_total
     before each sweep, per row.
     """
-    for sweep in range(len(row_totals)):
-        source, target = (even, odd) if sweep % 2 == 0 else (odd, even)
-        for number in prange(source.shape[1] - 4):
-            i = int64(number)
-            row_totals[sweep, i] = _sweep_row(
-                source, target, stiffness, observation, spans[i], lines, offsets, steps,
-                relaxation, i + 2,
-            )  # fmt: skip
+    sweep = thread[2]
+    source, target = (even, odd) if sweep % 2 == 0 else (odd, even)
+    for i in portion(thread, source.shape[1] - 4):
+        row_totals[sweep, i] = _sweep_row(
+            source, target, stiffness, observation, spans[i], lines, offsets, steps, relaxation,
+            i + 2,
+        )  # fmt: skip

@@ -188,7 +188,9 @@ class CpuVolumeLevel(VolumeLevel):
     def _smooth_by(self, paces: Vector) -> None:
         """Run Chebyshev steps from `correction`, alternating between it and `_other`."""
         d, other, load = map(flat, (self.correction, self._other, self.load))
-        volume.smooth(d, other, load, *self._about, self.moving, paces, self.parts)
+        volume.smooth.in_turns(
+            len(paces), d, other, load, *self._about, self.moving, paces, self.parts
+        )
 
     @property
     def _about(self) -> tuple[Any, ...]:

@@ -9,9 +9,9 @@ outside the spans.
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
 from __future__ import annotations
 
-from numba import float32, int64, prange
+from numba import float32
 
-from napari_hmrf.solver.backends.cpu.compiled import callee, parallel, shared
+from napari_hmrf.solver.backends.cpu.compiled import callee, parallel, portion, shared
 from napari_hmrf.solver.backends.cpu.volume_cliques import (
     BLOCK,
     curvature_of,
@@ -55,20 +55,21 @@ def _smooth_row(d, load, tissue, inverse, weights, span, pace, out, i):
 
 
 @parallel
-def smooth(d, other, load, stiffness, lines, offsets, inverse, weight, springs, spans, paces):
-    """Run Chebyshev steps with the coefficients (scale, ahead, back) in `paces`.
+def smooth(
+    thread, d, other, load, stiffness, lines, offsets, inverse, weight, springs, spans, paces
+):
+    """Run Chebyshev steps with the coefficients (scale, ahead, back) in `paces`, one in each turn.
 
     A step is ``other = d + scale * D^-1 (load - (A + W) d) + ahead * d - back * other``. On entry,
     `other` contains the displacement before the previous step. The two arrays swap roles after each
     step.
     """
-    for step in range(len(paces)):
-        source, target = (d, other) if step % 2 == 0 else (other, d)
-        pace = paces[step, 0], paces[step, 1], paces[step, 2]
-        tissue, weights = (stiffness, lines, offsets), (weight, springs)
-        for number in prange(d.shape[1] - 4):
-            i = int64(number)
-            _smooth_row(source, load, tissue, inverse, weights, spans[i], pace, target, i + 2)
+    step = thread[2]
+    source, target = (d, other) if step % 2 == 0 else (other, d)
+    pace = paces[step, 0], paces[step, 1], paces[step, 2]
+    tissue, weights = (stiffness, lines, offsets), (weight, springs)
+    for i in portion(thread, d.shape[1] - 4):
+        _smooth_row(source, load, tissue, inverse, weights, spans[i], pace, target, i + 2)
 
 
 @shared
@@ -103,12 +104,11 @@ def _rest_row(d, load, given, tissue, inverse, weights, span, share, out, i):
 
 @parallel
 def residual(
-    d, load, given, stiffness, lines, offsets, inverse, weight, springs, spans, share, out
+    thread, d, load, given, stiffness, lines, offsets, inverse, weight, springs, spans, share, out
 ):
     """Write ``share * (given * load - (A + W) d)`` to `out`, or 0 at fixed components."""
     tissue, weights = (stiffness, lines, offsets), (weight, springs)
-    for number in prange(d.shape[1] - 4):
-        i = int64(number)
+    for i in portion(thread, d.shape[1] - 4):
         _rest_row(d, load, given, tissue, inverse, weights, spans[i], share, out, i + 2)
 
 
@@ -128,11 +128,10 @@ def _pull_row(d, tissue, span, out, i):
 
 
 @parallel
-def pull(d, stiffness, lines, offsets, spans, out, row_totals):
+def pull(thread, d, stiffness, lines, offsets, spans, out, row_totals):
     """Write -A d to `out` within the spans, and the clique energy per row to `row_totals`."""
     tissue = stiffness, lines, offsets
-    for number in prange(d.shape[1] - 4):
-        i = int64(number)
+    for i in portion(thread, d.shape[1] - 4):
         row_totals[i] = _pull_row(d, tissue, spans[i], out, i + 2)
 
 
@@ -148,9 +147,8 @@ def _curvature_row(tissue, span, out, i):
 
 
 @parallel
-def curvature(stiffness, lines, offsets, spans, out):
+def curvature(thread, stiffness, lines, offsets, spans, out):
     """Compute the curvature of the cliques centred at each site within the spans."""
     tissue = stiffness, lines, offsets
-    for number in prange(out.shape[1] - 4):
-        i = int64(number)
+    for i in portion(thread, out.shape[1] - 4):
         _curvature_row(tissue, spans[i], out, i + 2)

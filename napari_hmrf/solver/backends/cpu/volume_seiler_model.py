@@ -77,7 +77,8 @@ class CpuVolumeSeilerLevel(CpuSeilerLevel):
             volume.start(load, inverse, None, correction, paces[0, 0])
             paces = paces[1:]
         weight, springs = self._springs
-        volume_seiler.smooth(
+        volume_seiler.smooth.in_turns(
+            len(paces),
             *map(rows, (self.correction, self._other, self.load)),
             *self._tissue,
             rows(self.inverse),
