@@ -12,6 +12,7 @@ from contextlib import suppress
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
 from napari_hmrf.solver.backends.compile_cache import sets
 
@@ -25,8 +26,11 @@ PICTURES = (f"{_PACKAGE}.field.interpolation", f"{_PACKAGE}.field.triangle_raste
 _CACHE_VARIABLE = "NUMBA_CACHE_DIR"
 #: Free space required in a cache folder, and size of the file used to test writing, in bytes.
 _ROOM, _PROBE = 2**27, 2**16
-#: Modules of loops that warp pictures, volumes or meshes.
-_MOTION = (
+#: Module through which all multithreaded loops are compiled.
+_THREADED = f"{_PACKAGE}.solver.backends.compile_cache.threaded"
+#: Modules of loops that are not in the solver's folder of loops.
+_OTHERS = (
+    _THREADED,
     *PICTURES,
     f"{_PACKAGE}.field.tetrahedron_raster",
     f"{_PACKAGE}.field.volume_loops",
@@ -37,7 +41,7 @@ _MOTION = (
 def modules() -> tuple[str, ...]:
     """Return the names of all modules that may contain loops."""
     return (
-        *_MOTION,
+        *_OTHERS,
         *(f"{_SOLVER}.{path.stem}" for path in _files(_LOOPS) if path.stem != "__init__"),
     )
 
@@ -51,6 +55,13 @@ def _files(folder: Path) -> list[Path]:
 def sources(folder: Path = _LOOPS) -> bytes:
     """Return a digest of all source files in a folder that contain loops."""
     return hashlib.sha256(b"".join(path.read_bytes() for path in _files(folder))).digest()
+
+
+def stamp(compiled: Any, digest: bytes) -> None:
+    """Invalidate the cache of a compiled function also when a digest of other sources changes."""
+    with suppress(AttributeError):  # some versions of numba lack these attributes
+        file = compiled._cache._cache_file
+        file._source_stamp = (file._source_stamp, digest)
 
 
 def mark(job: str = "") -> Path:
@@ -119,7 +130,7 @@ def _temporary() -> Path:
 def _key() -> str:
     """Return a digest of the source files of all loops, the compiler versions and the system."""
     made = hashlib.sha256(sources())
-    for name in _MOTION:
+    for name in _OTHERS:
         made.update(_LOOPS.parents[3].joinpath(*name.split(".")).with_suffix(".py").read_bytes())
     for package in ("numba", "llvmlite", "numpy"):
         with suppress(PackageNotFoundError):

@@ -15,8 +15,10 @@ Without reference counts of arrays, loops vectorize and compile faster, but cann
 # mypy: disable-error-code="no-untyped-call, no-untyped-def, no-any-return, misc"
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numba
@@ -29,10 +31,14 @@ from numba.core.compiler_machinery import register_pass
 from numba.core.ir import Expr
 from numba.core.typed_passes import NativeLowering
 
+from napari_hmrf.solver.backends.compile_cache.disk_cache import stamp
+
 #: Options of all functions that numba compiles. Loops are never called from C, so no C wrapper is
 #: needed. Without the last option, a function would or would not count references depending on
 #: which loop calls it first.
 LOOPS = {"error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": True}
+#: Digest of this file; loops are compiled again after a change.
+_SOURCE = hashlib.sha256(Path(__file__).read_bytes()).digest()
 #: Argument `thread` of a loop that another compiled function calls on its own thread.
 ALONE = (0, 1, 0)
 
@@ -234,4 +240,10 @@ def threaded(
     compiled = numba.njit(
         cache=True, nogil=True, pipeline_class=compiler, **{**LOOPS, "_nrt": creates}, **options
     )
-    return lambda function: ThreadedLoop(compiled(function), (0, 0, turns))
+
+    def decorate(function: Callable[..., None]) -> ThreadedLoop:
+        made = compiled(function)
+        stamp(made, _SOURCE)
+        return ThreadedLoop(made, (0, 0, turns))
+
+    return decorate

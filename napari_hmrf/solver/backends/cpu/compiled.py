@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import gc
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ import numba
 from numba.core import event
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 
-from napari_hmrf.solver.backends.compile_cache.disk_cache import sources
+from napari_hmrf.solver.backends.compile_cache.disk_cache import sources, stamp
 from napari_hmrf.solver.backends.compile_cache.threaded import (
     ALONE,
     LOOPS,
@@ -27,6 +26,8 @@ from napari_hmrf.solver.backends.compile_cache.threaded import (
 )
 
 __all__ = ["ALONE", "portion"]
+
+_HERE = Path(__file__).parent
 
 # Contraction (one rounding for x * y + z) is allowed. Reordering is not, because it could replace
 # differences between displacements by sums in which large terms cancel.
@@ -69,19 +70,12 @@ class _WithoutOverlap(CompilerBase):  # type: ignore[misc]
         return [DefaultPassBuilder.define_nopython_pipeline(self.state)]
 
 
-def _stamp(compiled: Any) -> None:
-    """Invalidate the cache of a compiled function when any file with compiled loops changes."""
-    with suppress(AttributeError):  # some versions of numba lack these attributes
-        file = compiled._cache._cache_file
-        file._source_stamp = (file._source_stamp, sources(Path(__file__).parent))
-
-
 def _cached(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Return a decorator that compiles a function and caches it until a file of loops changes."""
 
     def decorate(function: Callable[..., Any]) -> Any:
         made = numba.njit(cache=True, nogil=True, **LOOPS, **options)(function)
-        _stamp(made)
+        stamp(made, sources(_HERE))
         return made
 
     return decorate
@@ -93,7 +87,7 @@ def _threaded(**options: Any) -> Callable[[Callable[..., None]], ThreadedLoop]:
 
     def decorate(function: Callable[..., None]) -> ThreadedLoop:
         loop = compiled(function)
-        _stamp(loop.compiled)
+        stamp(loop.compiled, sources(_HERE))
         return loop
 
     return decorate
