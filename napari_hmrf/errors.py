@@ -60,14 +60,17 @@ class ProblemError(HmrfError, ValueError):
 
 
 class LayerError(ProblemError):
-    """Invalid layer, with a message for the user.
+    """Invalid layer, or invalid part of a study, with a message for the user.
+
+    `ProblemError.field` is the name of the layer; for a study, the name of the part in
+    `Study.names`, such as a file, or the part itself, such as "tissue".
 
     Parameters
     ----------
     layer : napari.layers.Layer or str
-        Layer, or its name.
+        Layer, or the name of the layer or part.
     message : str
-        Description of the problem and its remedy; the layer's name is the subject of the sentence.
+        Description of the problem and its remedy; the name is the subject of the sentence.
     """
 
     def __init__(self, layer: Any, message: str) -> None:

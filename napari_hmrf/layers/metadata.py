@@ -127,7 +127,7 @@ def rows_of(layer: Any, role: Role) -> tuple[Any, ...]:
             row_type(**{name: tuple(v) if isinstance(v, list) else v for name, v in row.items()})
             for row in metadata_of(layer)[key]
         )
-    except (KeyError, TypeError, AttributeError):
+    except (KeyError, TypeError, AttributeError, ValueError):
         return ()
 
 

@@ -381,8 +381,7 @@ def _solution_of(
     if not (finite and np.isfinite(outcome.energy).all()):
         raise BackendError(
             f"{renderer} returned NaN or infinite values, so the result was discarded. Check the "
-            "damping of the prior and the size of the observed displacement; if both are "
-            'reasonable, try backend="cpu".'
+            'size of the observed displacement; if it is reasonable, try backend="cpu".'
         )
     # The solution keeps this array itself, because warm starts recognize it.
     displacement.setflags(write=False)

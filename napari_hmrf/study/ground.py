@@ -77,6 +77,14 @@ _NOTHING_ACTS = (
     "the cavity (`weight=..., cavity=...`)"
 )
 
+#: What each part of a study with growth or forces has; see `Study.loaded_parts`.
+_LOADS = {
+    "tissue": "has growth",
+    "boundary": "has forces",
+    "weight": "is a force",
+    "cavity": "has forces",
+}
+
 _NO_UNIT = (
     "forces are in the unit of stiffness, which is not known here: a pressure of 0.1 strains "
     "tissue of stiffness 1 by about a tenth"
@@ -531,7 +539,7 @@ def refuse_unknown(study: Study) -> None:
     ------
     ProblemError
         If the study has rigid tissue, growth, forces or sliding surfaces that are not supported;
-        the error names the tissue and suggests a remedy.
+        the error names the part that has them and suggests a remedy.
     """
     prior, tissue = study.prior, study.tissue
     if not isinstance(prior, ElasticPrior):
@@ -539,10 +547,11 @@ def refuse_unknown(study: Study) -> None:
     if tissue.labels is not None:
         refuse_sliding_tissue(study, tissue.labels)
     if study.bears_loads and not isinstance(prior, Elastic):
+        part = study.loaded_parts[0]
         raise LayerError(
-            study.named("tissue", "image"),
-            "has growth or forces, which the paper's model does not support. Use the elastic "
-            "model (`model='elastic'`), or a boundary that expands.",
+            study.named("tissue", "image") if part == "tissue" else study.named(part),
+            f"{_LOADS[part]}, which the paper's model does not support. Use the elastic model "
+            "(`model='elastic'`), or a boundary that moves or expands.",
         )
     if isinstance(prior, Elastic) and prior.penalty in (None, math.inf):
         return

@@ -643,10 +643,19 @@ class Study:
     @property
     def bears_loads(self) -> bool:
         """True if the study has growth or forces."""
+        return bool(self.loaded_parts)
+
+    @property
+    def loaded_parts(self) -> tuple[str, ...]:
+        """Parts with growth or forces: some of "tissue", "boundary", "weight" and "cavity"."""
         motion = self.motion
-        forces = any(motion.weight) or any(rule.action in FORCES for rule in motion.rules)
-        forces = forces or (motion.cavity.acts and self.removes)
-        return forces or any(row.grows for row in self.tissue.materials)
+        loaded = {
+            "tissue": any(row.grows for row in self.tissue.materials),
+            "boundary": any(rule.action in FORCES for rule in motion.rules),
+            "weight": any(motion.weight),
+            "cavity": motion.cavity.acts and self.removes,
+        }
+        return tuple(part for part, bears in loaded.items() if bears)
 
     @property
     def slides(self) -> bool:

@@ -8,7 +8,7 @@ tables of materials and rules belong to integer label images, such as napari's L
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Sequence, Sized
 from dataclasses import KW_ONLY, asdict, dataclass, replace
 from typing import Any, Literal, get_args
 
@@ -161,8 +161,11 @@ class BoundaryRule:
 
     Raises
     ------
+    ProblemError
+        If a component of the vector or the amount is not a finite number, or a confidence is not
+        from 0 to 1.
     ArgumentError
-        If the action is unknown.
+        If the action is unknown, or the label is not a whole number above 0.
     """
 
     label: int
@@ -177,6 +180,9 @@ class BoundaryRule:
         actions = get_args(Action)
         requirement = f"one of {', '.join(map(repr, actions))}"
         refuse_unless(is_one_of(self.action, actions), "action", self.action, requirement)
+        is_label = is_whole(self.label) and self.label > 0
+        refuse_unless(is_label, "label", self.label, "a whole number above 0, such as 1")
+        _check_components(self, 3)
 
 
 def default_material(label: int, known: Iterable[Material]) -> Material:
@@ -350,7 +356,7 @@ def boundary_images(
     n = image.ndim
     sizes = checked_spacing(spacing, n)
     for rule in table.values():
-        _check_rule(rule, n)
+        _check_components(rule, n)
     y = np.zeros((*image.shape, n), dtype=np.float32)
     c = np.zeros_like(y)
     for label in present:
@@ -382,10 +388,6 @@ def _read(
     table: dict[int, Any] = {}
     for row in rows if isinstance(rows, Iterable) else [rows]:
         refuse_unless(isinstance(row, kind), name, row, f"a list of {kind.__name__}")
-        if not is_whole(row.label):
-            raise ProblemError(
-                field, f"has {name} for label {shown(row.label)}. Use whole numbers as labels."
-            )
         if row.label in table:
             raise ProblemError(field, f"has two {name} for label {row.label}. Remove one.")
         table[row.label] = row
@@ -402,13 +404,15 @@ def _read(
     return image, present, table
 
 
-def _check_rule(rule: BoundaryRule, n: int) -> None:
-    if not rule.label > 0:
-        raise ProblemError(
-            "observed", f"has a rule for {quoted(rule)}. Use a label above 0; 0 means unpainted."
-        )
+def _check_components(rule: BoundaryRule, n: int) -> None:
+    """Raise an error if the numbers of a rule are invalid for an image with `n` axes.
+
+    Raises
+    ------
+    ProblemError
+    """
     vector, confidence = (
-        reals(given, 3 if n == 3 and np.shape(given) == (3,) else 2)
+        reals(given, 3 if n == 3 and isinstance(given, Sized) and len(given) == 3 else 2)
         for given in (rule.vector, rule.confidence)
     )
     each = "(row, col)" if n == 2 else "(row, col) or (plane, row, col)"

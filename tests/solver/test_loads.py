@@ -424,6 +424,14 @@ def test_traction_acts_on_the_smooth_area_of_a_surface(radius):
     np.testing.assert_allclose(force, np.array([1, -2]) * 2 * np.pi * radius, rtol=0.01)
 
 
+@pytest.mark.parametrize("radius", [8, 20, 50])
+def test_traction_on_painted_pixels_acts_half_a_pixel_inside_their_outline(radius):
+    rows, cols = np.indices((2 * radius + 11,) * 2) - (radius + 5)
+    painted = np.hypot(rows, cols) <= radius
+    force = traction(painted, np.ones_like(painted), (0, 1.0), spacing=1).force.sum()
+    assert 0.4 < radius - force / (2 * np.pi) < 0.8
+
+
 def test_forces_use_the_units_of_stiffness_and_length():
     """Solve the same tissue in kPa and mm, and in Pa and m."""
     shape = (16, 12)

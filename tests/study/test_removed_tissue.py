@@ -221,7 +221,7 @@ def test_the_paper_model_removes_tissue_but_has_no_pressure():
     paper = replace(study(drawing=pull), prior=SeilerPrior())
     assert not solve_study(paper).tissue[DISC].any()
     pressed = replace(paper, motion=replace(paper.motion, cavity=Cavity(pressure=0.1)))
-    with pytest.raises(ProblemError, match="forces"):
+    with pytest.raises(ProblemError, match="'cavity' has forces"):
         solve_study(pressed)
 
 

@@ -42,6 +42,7 @@ TUMOUR = Material(2, "tumour", 6.0, growth=0.2)
 ROWS, COLS = np.indices(SHAPE)
 DISC = np.hypot(ROWS - 12, COLS - 15) < 5
 LABELS = np.where(DISC, 2, 1)
+PULL = BoundaryRule(2, "pull", vector=(0.0, 0.1))
 
 
 def study(*materials, labels=LABELS, model="elastic", **motion):
@@ -123,9 +124,21 @@ def test_a_note_warns_of_forces_without_a_unit_of_stiffness(unit):
 
 
 @pytest.mark.parametrize("model", ["paper", "paper, converged"])
-def test_the_paper_model_rejects_growth_and_suggests_the_elastic_model(model):
-    with pytest.raises(ProblemError, match=r"grow.*elastic model"):
-        solve_study(study(model=model))
+@pytest.mark.parametrize(
+    ("growth", "motion", "said"),
+    [
+        (0.2, Motion(True, weight=(0.01, 0.0)), "'brain.tif' has growth,"),
+        (0.0, Motion(True, LABELS, (BoundaryRule(1, "fixed"), PULL)), "'paint' has forces,"),
+        (0.0, Motion(True, weight=(0.01, 0.0)), "'weight' is a force,"),
+    ],
+)
+def test_the_paper_model_refuses_loads_and_names_the_part_that_has_them(
+    model, growth, motion, said
+):
+    given = study(BRAIN, replace(TUMOUR, growth=growth), model=model)
+    names = {"image": "brain.tif", "boundary": "paint"}
+    with pytest.raises(ProblemError, match=rf"{said}.*elastic model"):
+        solve_study(replace(given, motion=motion, names=names))
 
 
 def test_a_volume_sinks_under_its_weight_in_large_motion():

@@ -247,26 +247,39 @@ def test_an_error_names_boundary_labels_without_a_rule():
 
 
 @pytest.mark.parametrize(
-    ("rule", "field", "said"),
+    ("action", "numbers", "field", "said"),
     [
-        (BoundaryRule(0, "fixed"), "observed", "label 0. Use a label above 0"),
         (
-            BoundaryRule(1, "move", vector=(np.nan, 0), name="rim"),
+            "move",
+            {"vector": (np.nan, 0), "name": "rim"},
             "observed",
-            "label 1 (rim) with the vector (nan, 0). Use a number for each of (row, col).",
+            "label 1 (rim) with the vector (nan, 0). Use a number for each of (row, col)",
         ),
-        (BoundaryRule(1, "move", vector=3), "observed", "with the vector 3. Use a number for"),
-        (BoundaryRule(1, "expand", amount=np.inf), "observed", "the amount inf. Use a number."),
-        (BoundaryRule(1, "fixed", confidence=(1.0, 1.5)), "confidence", "confidence (1.0, 1.5). "),
-        (BoundaryRule(1, "fixed", confidence=(-0.1, 1.0)), "confidence", "a value from 0 to 1 for"),
+        ("move", {"vector": 3}, "observed", "with the vector 3. Use a number for"),
+        ("move", {"vector": "ab"}, "observed", "with the vector 'ab'. Use a number for"),
+        ("expand", {"amount": np.inf}, "observed", "the amount inf. Use a number."),
+        ("fixed", {"confidence": (1.0, 1.5)}, "confidence", "confidence (1.0, 1.5). "),
+        ("fixed", {"confidence": (-0.1, 1.0)}, "confidence", "a value from 0 to 1 for"),
     ],
 )
-def test_rules_out_of_range_are_refused_with_a_reason(rule, field, said):
+def test_rules_out_of_range_are_refused_with_a_reason(action, numbers, field, said):
     with pytest.raises(ProblemError) as caught:
-        boundary_images(np.full((4, 4), rule.label), [rule], spacing=1)
+        BoundaryRule(1, action, **numbers)
     assert caught.value.field == field
-    assert f"has a rule for label {rule.label}" in caught.value.message
+    assert "has a rule for label 1" in caught.value.message
     assert said in caught.value.message
+
+
+@pytest.mark.parametrize("label", [0, -1, 1.5, "1"])
+def test_a_rule_for_a_label_that_cannot_be_painted_is_refused(label):
+    with pytest.raises(ArgumentError, match="label must be a whole number above 0"):
+        BoundaryRule(label, "fixed")
+
+
+def test_a_rule_with_three_components_is_refused_for_an_image():
+    rule = BoundaryRule(1, "move", vector=(1, 2, 3))
+    with pytest.raises(ProblemError, match=r"the vector \(1, 2, 3\).*each of \(row, col\)\."):
+        boundary_images(np.ones((4, 4), int), [rule], spacing=1)
 
 
 def test_a_word_as_stiffness_is_refused_with_the_value_for_rigid_tissue():

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from napari_hmrf.arguments import is_whole, real, reals, refuse_unless
-from napari_hmrf.errors import ArgumentError
+from napari_hmrf.errors import ArgumentError, ConvergenceError
 from napari_hmrf.solver.backends.base import Backend, FloatArray, SiteRule
 from napari_hmrf.solver.backends.earlier_results import WarmStart
 from napari_hmrf.solver.optimizers.base import LevelRun, Monitor, Outcome, Report
@@ -24,6 +24,15 @@ BLOCK = 10
 _SMALL = 10_000
 # Largest number of sweeps in one call.
 _MOST = 1000
+# Damping below which sweeps over blanket cliques cannot raise the energy in closed form, for any
+# stiffness: a clique has three sites, so all sites together overshoot at most threefold, and the
+# sweeps converge if the damping reduces this factor to less than 2.
+_SAFE_DAMPING = 2 / 3
+# Relative rise of the energy above its least value on a level that shows a divergence. The energy
+# of a divergence rises exponentially; at this rise, the field is still hardly affected.
+_RISE = 0.01
+# Rise that can be due to rounding, relative to the square of the largest observed displacement.
+_ROUNDING = 1e-8
 
 
 @dataclass(frozen=True)
@@ -90,7 +99,15 @@ class ICM:
         report: Report,
         start: WarmStart | None = None,
     ) -> Outcome:
-        """Run the schedule on a backend; from here on, lengths are in pixels."""
+        """Run the schedule on a backend; from here on, lengths are in pixels.
+
+        Raises
+        ------
+        ArgumentError
+            If there is a warm start, or the prior is not a `SeilerPrior`.
+        ConvergenceError
+            If the sweeps diverge, because the damping of the prior is too large.
+        """
         if start is not None:
             raise ArgumentError(
                 "ICM starts from zero on its coarsest level. Leave initial out, or use Multigrid"
@@ -124,6 +141,8 @@ class ICM:
             displacement, level_energies = self._relax(
                 backend, displacement, images, rule, max(1, tissue), progress, level
             )
+            if rule.blanket and not rule.steps and rule.relaxation >= _SAFE_DAMPING:
+                _refuse_divergence(level_energies, problem, rule.relaxation)
             energies += level_energies
             runs.append(LevelRun(level.number, level.shape, len(level_energies)))
         result = backend.download(displacement)
@@ -222,3 +241,21 @@ def _observation(problem: Problem, prior: SeilerPrior) -> FloatArray:
     )
     observation *= problem.tissue[..., None]
     return observation
+
+
+def _refuse_divergence(energies: list[float], problem: Problem, damping: float) -> None:
+    """Raise an error if the energy rose above its least value on a level.
+
+    Raises
+    ------
+    ConvergenceError
+    """
+    farthest = np.abs(problem.observed[problem.known]).max(initial=0.0) / problem.unit
+    least = min(energies)
+    allowed = (1 + _RISE) * least + _ROUNDING * farthest**2
+    if not energies[-1] <= allowed:  # also if the energy is NaN
+        raise ConvergenceError(
+            f"the sweeps diverge with the damping {damping:g}: their energy rises instead of "
+            "falling. With blanket cliques and moves in closed form (`steps=None`), use a damping "
+            "below 2/3, such as the default of 0.6."
+        )

@@ -75,7 +75,8 @@ class SeilerPrior:
     damping : float, optional
         Factor on the step of each site to its best displacement, because all sites move
         simultaneously. The default is 1 for centred cliques and 0.6 for blanket cliques, which
-        diverge without damping (values below 2/3 are safe for any stiffness).
+        diverge without damping. Values below 2/3 are safe for any stiffness. With larger values,
+        ``ICM(steps=None)`` raises a `ConvergenceError` if the energy of its sweeps rises.
     """
 
     penalty: float | None = None

@@ -87,6 +87,17 @@ def test_a_uniform_strain_of_uniform_tissue_has_no_energy(spacing):
     assert SeilerPrior().site_energy(problem, problem.observed).sum() == pytest.approx(0, abs=1e-6)
 
 
+def test_the_terms_of_the_total_energy_can_be_told_apart_for_a_field_in_double_precision():
+    i, j = np.mgrid[:6, :8]
+    d = np.stack([0.013 * i + 0.007 * j, 0.011 * j], axis=-1)
+    prior = SeilerPrior()
+    problem = Problem(observed=d, confidence=np.ones_like(d), stiffness=np.ones((6, 8)), spacing=2)
+    off = np.abs(problem.observed - d) / problem.unit
+    observation = (prior.limit(problem) * off).sum(axis=-1)
+    assert observation.sum() > 1e-4  # `observed` is in single precision
+    np.testing.assert_allclose(prior.site_energy(problem, d), observation, atol=1e-12)
+
+
 def test_the_energy_depends_only_on_ratios_of_stiffness():
     problem, d = random_problem()
     scaled = Problem(
