@@ -14,9 +14,10 @@ from napari_hmrf.arguments import is_whole, refuse_unless
 from napari_hmrf.augmentation.random_deformation import RandomDeformation, RandomSample
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.deformation import spread
+from napari_hmrf.field.inverse_field import inverse_displacement
 from napari_hmrf.io.case import read_case
 from napari_hmrf.io.case_options import Case
-from napari_hmrf.io.fields import Place, place_of, write_field
+from napari_hmrf.io.fields import Place, place_of, write_mapping
 from napari_hmrf.io.images import ImageFile, write_image
 from napari_hmrf.io.landmark_files import write_points
 from napari_hmrf.io.study_file import write_study
@@ -42,14 +43,11 @@ class Truth:
     scale : float
         Factor, at most 1, by which the drawn deformation was multiplied to limit the
         compression of tissue.
-    inexact : float
-        Largest error, in pixels, of the written field, which is the inverse of the motion.
     """
 
     folder: Path
     farthest: float
     scale: float
-    inexact: float
 
 
 def truth_files(folder: Path, count: int) -> list[Path]:
@@ -79,7 +77,7 @@ def write_truth(
     - ``deformed.mha`` and ``deformed_labels.mha``;
     - ``field.mha``, the displacement field that warps the image to the deformed image, in the
       convention of registration software (backward, from each deformed pixel to its origin, in mm,
-      LPS);
+      LPS). At pixels that no tissue covers, it continues the field of the nearest tissue;
     - ``landmarks.csv``, corresponding points in the image and in the deformed image, with the
       columns of BigWarp: in mm, from the first pixel, along the axes of ``image.mha``;
     - ``truth.study``, a study that can be solved and opened in napari.
@@ -144,10 +142,10 @@ def write_truth(
         }
         for name, each in moved.items():
             write_image(within / name, each)
-        inexact = _write_motion(within, sample, solution, place)
+        _write_motion(within, sample, solution, place)
         write_study(within / "truth.study", _whole(study, sample), solution)
         farthest = float(np.linalg.norm(sample.displacement, axis=-1).max())
-        written.append(Truth(within, farthest, sample.scale, inexact))
+        written.append(Truth(within, farthest, sample.scale))
         on_written(written[-1])
     return written
 
@@ -169,17 +167,20 @@ def _grid_in(image: Path, grid: Grid) -> Grid:
     return replace(grid, place=Grid.from_image(image, slice=0 if flat else None).place)
 
 
-def _write_motion(within: Path, sample: RandomSample, solution: Solution, place: Place) -> float:
-    """Write the field and the landmarks; return the error of the inverse field, in pixels."""
+def _write_motion(within: Path, sample: RandomSample, solution: Solution, place: Place) -> None:
+    """Write the field that moves the image, and the landmarks."""
     n = sample.tissue.ndim
-    mm = solution.displacement * (np.array(place.spacing[-n:]) / solution.spacing)
-    inexact = write_field(within / "field.mha", mm, **place._asdict(), tissue=sample.tissue)
+    # The images are warped by the same inverse, not by that of trilinear motion.
+    back = inverse_displacement(
+        sample.displacement, spacing=sample.spacing, tissue=sample.tissue, trilinear=False
+    ).displacement
+    mm = back * (np.array(place.spacing[-n:]) / solution.spacing)
+    write_mapping(within / "field.mha", mm, **place._asdict())
     points = landmarks(sample.tissue)
     # The place of a slice has an additional first axis, along which the index is 0.
     more = len(place.spacing) - n
     ends = (np.pad(each, ((0, 0), (more, 0))) for each in (points, sample.points(points)))
     write_points(within / "landmarks.csv", *(each * place.spacing for each in ends))
-    return inexact
 
 
 def landmarks(tissue: npt.NDArray[np.bool_]) -> npt.NDArray[np.intp]:

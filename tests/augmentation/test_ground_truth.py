@@ -69,7 +69,7 @@ def test_simpleitk_reproduces_the_deformed_image_from_the_written_field(pair):
     folder, said = pair
     out = folder / "out"
     assert "moved up to" in said
-    assert "contains the inverse displacement" in said
+    assert "field.mha maps each pixel of deformed.mha to its origin" in said
     image = sitk.ReadImage(str(out / "image.mha"), sitk.sitkFloat64)
     deformed = sitk.ReadImage(str(out / "001" / "deformed.mha"), sitk.sitkFloat64)
     field = sitk.ReadImage(str(out / "001" / "field.mha"), sitk.sitkVectorFloat64)
@@ -141,6 +141,27 @@ def test_a_volume_is_deformed(tmp_path):
     assert 0.2 < np.abs(sitk.GetArrayFromImage(field)).max() < 0.51, (
         "the amplitude should be in mm, not in voxels"
     )
+
+
+def test_the_field_of_a_volume_made_the_deformed_image_also_at_a_free_edge(tmp_path):
+    shape = (14, 16, 18)
+    place = Place((2.0, 0.5, 0.7), (-10.0, 20.0, 5.0), np.eye(3))
+    write_image(tmp_path / "scan.mha", ImageFile(smooth_image(shape).astype(np.float32), place))
+    write_image(tmp_path / "labels.mha", ImageFile(np.ones(shape, np.uint8), place))
+    (tmp_path / "m.csv").write_text("label,name,stiffness\n1,brain,3\n")
+    arguments = ["truth", tmp_path / "scan.mha", "--labels", tmp_path / "labels.mha"]
+    arguments += ["--materials", tmp_path / "m.csv", "-o", tmp_path / "out", "--patches", 4]
+    assert main([*map(str, arguments), "--free-edge", "--weight", "0.01"]) == 0
+    pair = tmp_path / "out" / "001"
+    image, deformed = (
+        sitk.ReadImage(tmp_path / "out" / "image.mha"),
+        read_image(pair / "deformed.mha"),
+    )
+    field = sitk.ReadImage(pair / "field.mha", sitk.sitkVectorFloat64)
+    covered = read_image(pair / "deformed_labels.mha").pixels > 0
+    transform = sitk.DisplacementFieldTransform(field)
+    seen = sitk.GetArrayFromImage(sitk.Resample(image, transform))
+    np.testing.assert_allclose(seen[covered], deformed.pixels[covered], atol=1e-3)
 
 
 @pytest.mark.parametrize("options", [(), ("--slice", "5")])
