@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from napari_hmrf.augmentation.ground_truth import Truth, truth_files, write_truth
+from napari_hmrf.augmentation.ground_truth import Truth, write_truth
 from napari_hmrf.command_line import parser_of_commands
 from napari_hmrf.errors import HmrfError, in_words
 from napari_hmrf.field.warp import has_volume_loops
@@ -405,7 +405,6 @@ def _truth(options: argparse.Namespace) -> int:
         part = "" if truth.scale == 1 else f", scaled to {truth.scale:.0%}"
         print(f"written: {truth.folder} (moved up to {truth.farthest:.3g}{part})", flush=True)
 
-    refuse_overwriting(truth_files(options.out, options.count), overwrite=options.force)
     progress = _ProgressLine()
     names = ("amplitude", "patches", "weight", "hold_edge", "backend")
     given = {name: getattr(options, name) for name in names}
@@ -420,6 +419,7 @@ def _truth(options: argparse.Namespace) -> int:
         options.out,
         count=options.count,
         seed=options.seed,
+        overwrite=options.force,
         progress=lambda done, of: progress.write(f"solved: {done} of {of}", "solving"),
         on_written=report,
         **{name: value for name, value in given.items() if value is not None},

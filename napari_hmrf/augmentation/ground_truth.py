@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,14 +22,18 @@ from napari_hmrf.io.case_options import Case
 from napari_hmrf.io.fields import Place, place_of, write_mapping
 from napari_hmrf.io.images import ImageFile, write_image
 from napari_hmrf.io.landmark_files import write_points
+from napari_hmrf.io.overwriting import refuse_overwriting
 from napari_hmrf.io.study_file import write_study
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.study import Grid, Pictures, Study
 
 # Approximate number of landmarks per pair.
 _LANDMARKS = 200
-#: Names of the files of each pair.
+#: Names of the files of all pairs, and of each pair.
+_SHARED = "image.mha", "labels.mha"
 _OF_PAIRS = "deformed.mha", "deformed_labels.mha", "field.mha", "landmarks.csv", "truth.study"
+#: Name of the folder of a pair.
+_PAIR = re.compile("[0-9]{3,}")
 
 
 @dataclass(frozen=True)
@@ -50,21 +56,13 @@ class Truth:
     scale: float
 
 
-def truth_files(folder: Path, count: int) -> list[Path]:
-    """Return the paths of the files that `write_truth` writes for `count` pairs."""
-    within = [folder / f"{number + 1:03}" for number in range(count)]
-    return [
-        *(folder / name for name in ("image.mha", "labels.mha")),
-        *(pair / name for pair in within for name in _OF_PAIRS),
-    ]
-
-
 def write_truth(
     case: Case,
     folder: Path,
     *,
     count: int = 1,
     seed: int = 0,
+    overwrite: bool = True,
     progress: Callable[[int, int], None] | None = None,
     on_written: Callable[[Truth], None] = lambda _: None,
     **options: Any,
@@ -87,11 +85,14 @@ def write_truth(
     case : Case
         Image with labels and materials, or a study that contains them.
     folder : Path
-        Output folder, which is created if it does not exist.
+        Output folder, which is created if it does not exist. The image and all pairs of an earlier
+        run are removed before the new image is written; other files in the folder are kept.
     count : int
         Number of pairs.
     seed : int
         Seed of the random numbers. The seed of each pair is (seed, index of the pair).
+    overwrite : bool
+        True if the image and the pairs of an earlier run may be removed.
     progress : callable, optional
         As for `RandomDeformation`.
     on_written : callable, optional
@@ -107,9 +108,11 @@ def write_truth(
     Raises
     ------
     HmrfError, OSError
-        As for `read_case` and `RandomDeformation`, or if the case has no image or no labels.
+        As for `read_case` and `RandomDeformation`; if the case has no image or no labels; or if
+        the folder contains an earlier run, and `overwrite` is False or the case reads its files.
     """
     refuse_unless(is_whole(count) and count >= 1, "count", count, "a positive whole number")
+    _refuse_earlier(folder, case, overwrite)
     study = read_case(case)
     image, labels = study.pictures.image, study.tissue.labels
     if image is None or labels is None:
@@ -130,6 +133,7 @@ def write_truth(
         sample = random.sample((seed, number))
         place = place_of(_placed(sample.solution, study.grid))
         if not number:
+            _remove_earlier(folder)
             write_image(folder / "image.mha", ImageFile(image, place, colours))
             write_image(folder / "labels.mha", ImageFile(labels, place))
             study = replace(study, grid=_grid_in(folder / "image.mha", study.grid))
@@ -148,6 +152,34 @@ def write_truth(
         written.append(Truth(within, farthest, sample.scale))
         on_written(written[-1])
     return written
+
+
+def _earlier(folder: Path) -> list[Path]:
+    """Return the files of an earlier run in a folder, of any number of pairs."""
+    pairs = sorted(each for each in folder.glob("*") if _PAIR.fullmatch(each.name))
+    files = [folder / name for name in _SHARED]
+    files += [pair / name for pair in pairs for name in _OF_PAIRS]
+    return [file for file in files if file.is_file()]
+
+
+def _refuse_earlier(folder: Path, case: Case, overwrite: bool) -> None:
+    """Raise an error if an earlier run may not be removed, or is the input of this one."""
+    earlier = _earlier(folder)
+    refuse_overwriting(earlier, overwrite=overwrite)
+    read = {path.resolve() for path in case.inputs}
+    for file in earlier:
+        if file.resolve() in read:
+            raise HmrfError(f"{file} is an input, but would be removed. Choose another folder.")
+
+
+def _remove_earlier(folder: Path) -> None:
+    """Remove the files of an earlier run, whose pairs do not belong to the new image."""
+    earlier = _earlier(folder)
+    for file in earlier:
+        file.unlink()
+    for pair in {file.parent for file in earlier} - {folder}:
+        with suppress(OSError):  # it may contain other files
+            pair.rmdir()
 
 
 def _placed(solution: Solution, grid: Grid) -> Solution:

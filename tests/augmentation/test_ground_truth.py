@@ -125,6 +125,20 @@ def test_pairs_differ_from_each_other_and_a_seed_reproduces_them(files):
     np.testing.assert_array_equal(again, first[0])
 
 
+def test_a_forced_run_replaces_the_pairs_of_an_earlier_run(files, capsys):
+    assert truth(files, "--count", 2) == 0
+    out = files / "out"
+    (out / "002" / "notes.txt").write_text("kept")
+    assert truth(files) == 1
+    assert "image.mha already exists (and 11 more)" in capsys.readouterr().err
+    again = ["truth", str(out / "002" / "truth.study"), "-o", str(out), "--force"]
+    assert main(again) == 1
+    assert "truth.study is an input, but would be removed" in capsys.readouterr().err
+    assert truth(files, "--force") == 0
+    assert len([*(out / "001").iterdir()]) == 5
+    assert [path.name for path in (out / "002").iterdir()] == ["notes.txt"]
+
+
 def test_a_volume_is_deformed(tmp_path):
     shape = (12, 14, 16)
     labels = np.ones(shape, np.uint8)
