@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -70,7 +71,7 @@ def write_truth(
     """Deform an image randomly, and write the deformed images with their ground truth.
 
     The function writes ``image.mha`` and ``labels.mha`` to the folder. For each pair, it writes
-    these files to a subfolder ``001``, ``002``, ...:
+    these files, all or none, to a subfolder ``001``, ``002``, ...:
 
     - ``deformed.mha`` and ``deformed_labels.mha``;
     - ``field.mha``, the displacement field that warps the image to the deformed image, in the
@@ -138,18 +139,18 @@ def write_truth(
             write_image(folder / "labels.mha", ImageFile(labels, place))
             study = replace(study, grid=_grid_in(folder / "image.mha", study.grid))
         solution = _placed(sample.solution, study.grid)
-        within = folder / f"{number + 1:03}"
-        within.mkdir(exist_ok=True)
+        pair = folder / f"{number + 1:03}"
         moved = {
             "deformed.mha": ImageFile(sample.image(image), place, colours),
             "deformed_labels.mha": ImageFile(sample.labels(labels), place),
         }
-        for name, each in moved.items():
-            write_image(within / name, each)
-        _write_motion(within, sample, solution, place)
-        write_study(within / "truth.study", _whole(study, sample), solution)
+        with _published(pair) as within:
+            for name, each in moved.items():
+                write_image(within / name, each)
+            _write_motion(within, sample, solution, place)
+            write_study(within / "truth.study", _whole(study, sample), solution)
         farthest = float(np.linalg.norm(sample.displacement, axis=-1).max())
-        written.append(Truth(within, farthest, sample.scale))
+        written.append(Truth(pair, farthest, sample.scale))
         on_written(written[-1])
     return written
 
@@ -180,6 +181,23 @@ def _remove_earlier(folder: Path) -> None:
     for pair in {file.parent for file in earlier} - {folder}:
         with suppress(OSError):  # it may contain other files
             pair.rmdir()
+
+
+@contextmanager
+def _published(pair: Path) -> Iterator[Path]:
+    """Yield a folder for the files of a pair, which are moved to the pair when all are written.
+
+    An interrupted run leaves no part of a pair.
+    """
+    with TemporaryDirectory(prefix=".unfinished-", dir=pair.parent) as unfinished:
+        within = Path(unfinished) / pair.name
+        within.mkdir()
+        yield within
+        if pair.exists():  # with files that are not of a pair
+            for file in within.iterdir():
+                file.replace(pair / file.name)
+        else:
+            within.rename(pair)
 
 
 def _placed(solution: Solution, grid: Grid) -> Solution:

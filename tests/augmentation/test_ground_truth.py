@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial import KDTree
 
 from napari_hmrf import read_study, solve_study, warp
+from napari_hmrf.augmentation import ground_truth
 from napari_hmrf.cli import main
 from napari_hmrf.io.case import Case, read_case
 from napari_hmrf.io.fields import Place
@@ -136,7 +137,21 @@ def test_a_forced_run_replaces_the_pairs_of_an_earlier_run(files, capsys):
     assert "truth.study is an input, but would be removed" in capsys.readouterr().err
     assert truth(files, "--force") == 0
     assert len([*(out / "001").iterdir()]) == 5
+    assert sorted(path.name for path in out.iterdir()) == ["001", "002", "image.mha", "labels.mha"]
     assert [path.name for path in (out / "002").iterdir()] == ["notes.txt"]
+
+
+def test_an_interrupted_run_leaves_no_part_of_a_pair(files, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(ground_truth, "write_study", interrupt)
+        assert truth(files) == 130
+    out = files / "out"
+    assert sorted(path.name for path in out.iterdir()) == ["image.mha", "labels.mha"]
+    assert truth(files, "--force") == 0
+    assert len([*(out / "001").iterdir()]) == 5
 
 
 def test_a_volume_is_deformed(tmp_path):
