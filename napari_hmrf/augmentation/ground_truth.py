@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -87,7 +87,7 @@ def write_truth(
         Image with labels and materials, or a study that contains them.
     folder : Path
         Output folder, which is created if it does not exist. The image and all pairs of an earlier
-        run are removed before the new image is written; other files in the folder are kept.
+        run are removed when the first pair is complete; other files in the folder are kept.
     count : int
         Number of pairs.
     seed : int
@@ -133,24 +133,28 @@ def write_truth(
     for number in range(count):
         sample = random.sample((seed, number))
         place = place_of(_placed(sample.solution, study.grid))
-        if not number:
-            _remove_earlier(folder)
-            write_image(folder / "image.mha", ImageFile(image, place, colours))
-            write_image(folder / "labels.mha", ImageFile(labels, place))
-            study = replace(study, grid=_grid_in(folder / "image.mha", study.grid))
-        solution = _placed(sample.solution, study.grid)
-        pair = folder / f"{number + 1:03}"
-        moved = {
-            "deformed.mha": ImageFile(sample.image(image), place, colours),
-            "deformed_labels.mha": ImageFile(sample.labels(labels), place),
-        }
-        with _published(pair) as within:
+        with TemporaryDirectory(prefix=".unfinished-", dir=folder) as unfinished:
+            new = Path(unfinished)
+            if not number:
+                write_image(new / "image.mha", ImageFile(image, place, colours))
+                write_image(new / "labels.mha", ImageFile(labels, place))
+                study = replace(study, grid=_grid_in(new / "image.mha", study.grid))
+            solution = _placed(sample.solution, study.grid)
+            pair = new / f"{number + 1:03}"
+            pair.mkdir()
+            moved = {
+                "deformed.mha": ImageFile(sample.image(image), place, colours),
+                "deformed_labels.mha": ImageFile(sample.labels(labels), place),
+            }
             for name, each in moved.items():
-                write_image(within / name, each)
-            _write_motion(within, sample, solution, place)
-            write_study(within / "truth.study", _whole(study, sample), solution)
+                write_image(pair / name, each)
+            _write_motion(pair, sample, solution, place)
+            write_study(pair / "truth.study", _whole(study, sample), solution)
+            if not number:
+                _remove_earlier(folder)
+            _publish(new, folder)
         farthest = float(np.linalg.norm(sample.displacement, axis=-1).max())
-        written.append(Truth(pair, farthest, sample.scale))
+        written.append(Truth(folder / pair.name, farthest, sample.scale))
         on_written(written[-1])
     return written
 
@@ -183,21 +187,15 @@ def _remove_earlier(folder: Path) -> None:
             pair.rmdir()
 
 
-@contextmanager
-def _published(pair: Path) -> Iterator[Path]:
-    """Yield a folder for the files of a pair, which are moved to the pair when all are written.
-
-    An interrupted run leaves no part of a pair.
-    """
-    with TemporaryDirectory(prefix=".unfinished-", dir=pair.parent) as unfinished:
-        within = Path(unfinished) / pair.name
-        within.mkdir()
-        yield within
-        if pair.exists():  # with files that are not of a pair
-            for file in within.iterdir():
-                file.replace(pair / file.name)
+def _publish(new: Path, folder: Path) -> None:
+    """Move complete files and pairs into place."""
+    for each in sorted(new.iterdir(), key=Path.is_dir):  # pairs after their image
+        target = folder / each.name
+        if target.is_dir():  # with files that are not of a pair
+            for file in each.iterdir():
+                file.replace(target / file.name)
         else:
-            within.rename(pair)
+            each.replace(target)
 
 
 def _placed(solution: Solution, grid: Grid) -> Solution:

@@ -145,13 +145,15 @@ def test_an_interrupted_run_leaves_no_part_of_a_pair(files, monkeypatch):
     def interrupt(*_):
         raise KeyboardInterrupt
 
-    with monkeypatch.context() as patch:
-        patch.setattr(ground_truth, "write_study", interrupt)
-        assert truth(files) == 130
     out = files / "out"
-    assert sorted(path.name for path in out.iterdir()) == ["image.mha", "labels.mha"]
-    assert truth(files, "--force") == 0
-    assert len([*(out / "001").iterdir()]) == 5
+    monkeypatch.setattr(ground_truth, "write_study", interrupt)
+    assert truth(files) == 130
+    assert not [*out.iterdir()]
+    monkeypatch.undo()
+    assert truth(files, "--count", 2) == 0
+    monkeypatch.setattr(ground_truth, "write_study", interrupt)
+    assert truth(files, "--force") == 130
+    assert len([*out.rglob("*.*")]) == 12, "the earlier run should be kept"
 
 
 def test_a_volume_is_deformed(tmp_path):
