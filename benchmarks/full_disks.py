@@ -269,7 +269,7 @@ def commands() -> list[Writer]:
         "demo --volume": ["demo", "--volume", "--size", "32", "--no-window", "--out", "."],
     }
     return [
-        Writer(f"napari-hmrf {name}", partial(_run, arguments=[str(each) for each in words]))
+        Writer(f"napari-hmrf {name}", partial(_run, arguments=[*map(str, words), "--force"]))
         for name, words in typed.items()
     ] + [Writer("napari-hmrf batch", _batch)]
 
