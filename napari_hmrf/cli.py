@@ -48,6 +48,7 @@ from napari_hmrf.solver.model_names import MODELS, as_word
 from napari_hmrf.solver.optimizers import Monitor, Optimizer
 from napari_hmrf.solver.preparation import provide_loops
 from napari_hmrf.solver.priors import Elastic, Prior
+from napari_hmrf.solver.solution import SUM
 from napari_hmrf.solver.solve import solve
 from napari_hmrf.study.models import family_of, parts_of
 from napari_hmrf.tissue.tissue_names import materials_by_name
@@ -389,8 +390,10 @@ def _replay(options: argparse.Namespace) -> int:
         )
     else:
         result = f"the fields differ by at most {difference:.3g} px"
-    print(f"{result}; the saved field was solved on {before.provenance.backend}")
-    return int(difference > allowed and now.provenance.backend == before.provenance.backend)
+    backend = before.provenance.backend
+    origin = "a sum of solutions" if backend == SUM else f"solved on {backend}"
+    print(f"{result}; the saved field was {origin}")
+    return int(difference > allowed and backend in (SUM, now.provenance.backend))
 
 
 def _in_shell(solution: Solution) -> str:

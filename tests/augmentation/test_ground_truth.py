@@ -106,12 +106,17 @@ def test_the_landmarks_of_a_pair_are_read_where_they_were_written(pair):
     assert all(mark.radius <= part / 2 for mark, part in zip(marks, apart, strict=True))
 
 
-def test_labels_move_with_the_image_and_the_saved_study_reproduces_the_field(pair):
+def test_labels_move_with_the_image_and_the_saved_study_reproduces_the_field(pair, capsys):
     out = pair[0] / "out"
     study, solution = read_study(out / "001" / "truth.study")
     assert study.grid.unit == "millimeter"
     again = solve_study(study, backend="cpu").displacement
     assert (np.abs(again - solution.displacement) / solution.spacing).max() < 0.01
+    capsys.readouterr()
+    assert main(["replay", str(out / "001" / "truth.study")]) == 0
+    said = capsys.readouterr().out
+    assert "the same field within its tolerance" in said
+    assert "the saved field was a sum of solutions" in said
     labels = read_image(out / "labels.mha").pixels
     moved = warp(labels, solution.displacement, spacing=solution.spacing, order=0)
     np.testing.assert_array_equal(read_image(out / "001" / "deformed_labels.mha").pixels, moved)
