@@ -113,6 +113,8 @@ def write_truth(
         the folder contains an earlier run, and `overwrite` is False or the case reads its files.
     """
     refuse_unless(is_whole(count) and count >= 1, "count", count, "a positive whole number")
+    right = is_whole(seed) and seed >= 0
+    refuse_unless(right, "seed", seed, "a non-negative whole number")
     _refuse_earlier(folder, case, overwrite)
     study = read_case(case)
     image, labels = study.pictures.image, study.tissue.labels

@@ -247,11 +247,14 @@ def test_a_sample_scaled_below_the_amplitude_is_reported_with_shell_options(file
 def test_invalid_arguments_are_reported_before_any_solve(files, capsys):
     assert truth(files, "--count", 0) == 1
     assert truth(files, "--amplitude", -1) == 1
+    assert truth(files, "--seed", -1) == 1
     (files / "m.csv").write_text("label,name,stiffness\n1,brain,3\n")
     assert truth(files) == 1
     said = capsys.readouterr().err
     assert "count must be" in said
     assert "amplitude must be" in said
+    assert "seed must be a non-negative whole number, not -1" in said
+    assert "solved" not in said
     assert "without a material: 2" in said
 
 
