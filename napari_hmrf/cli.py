@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from napari_hmrf.augmentation.ground_truth import Truth, truth_files, write_truth
+from napari_hmrf.augmentation.ground_truth import Truth, write_truth
 from napari_hmrf.command_line import parser_of_commands
 from napari_hmrf.errors import HmrfError, in_words
 from napari_hmrf.field.warp import has_volume_loops
@@ -48,6 +48,7 @@ from napari_hmrf.solver.model_names import MODELS, as_word
 from napari_hmrf.solver.optimizers import Monitor, Optimizer
 from napari_hmrf.solver.preparation import provide_loops
 from napari_hmrf.solver.priors import Elastic, Prior
+from napari_hmrf.solver.solution import SUM
 from napari_hmrf.solver.solve import solve
 from napari_hmrf.study.models import family_of, parts_of
 from napari_hmrf.tissue.tissue_names import materials_by_name
@@ -389,8 +390,10 @@ def _replay(options: argparse.Namespace) -> int:
         )
     else:
         result = f"the fields differ by at most {difference:.3g} px"
-    print(f"{result}; the saved field was solved on {before.provenance.backend}")
-    return int(difference > allowed and now.provenance.backend == before.provenance.backend)
+    backend = before.provenance.backend
+    origin = "a sum of solutions" if backend == SUM else f"solved on {backend}"
+    print(f"{result}; the saved field was {origin}")
+    return int(difference > allowed and backend in (SUM, now.provenance.backend))
 
 
 def _in_shell(solution: Solution) -> str:
@@ -405,11 +408,10 @@ def _truth(options: argparse.Namespace) -> int:
         part = "" if truth.scale == 1 else f", scaled to {truth.scale:.0%}"
         print(f"written: {truth.folder} (moved up to {truth.farthest:.3g}{part})", flush=True)
 
-    refuse_overwriting(truth_files(options.out, options.count), overwrite=options.force)
     progress = _ProgressLine()
     names = ("amplitude", "patches", "weight", "hold_edge", "backend")
     given = {name: getattr(options, name) for name in names}
-    written = write_truth(
+    write_truth(
         Case(
             image=options.image,
             labels=options.labels,
@@ -420,12 +422,12 @@ def _truth(options: argparse.Namespace) -> int:
         options.out,
         count=options.count,
         seed=options.seed,
+        overwrite=options.force,
         progress=lambda done, of: progress.write(f"solved: {done} of {of}", "solving"),
         on_written=report,
         **{name: value for name, value in given.items() if value is not None},
     )
-    worst = max(each.inexact for each in written)
-    print(f"field.mha contains the inverse displacement, with an error of at most {worst:.2g} px")
+    print("field.mha maps each pixel of deformed.mha to its origin in image.mha")
     return 0
 
 

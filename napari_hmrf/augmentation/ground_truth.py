@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -14,19 +17,24 @@ from napari_hmrf.arguments import is_whole, refuse_unless
 from napari_hmrf.augmentation.random_deformation import RandomDeformation, RandomSample
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.deformation import spread
+from napari_hmrf.field.inverse_field import inverse_displacement
 from napari_hmrf.io.case import read_case
 from napari_hmrf.io.case_options import Case
-from napari_hmrf.io.fields import Place, place_of, write_field
+from napari_hmrf.io.fields import Place, place_of, write_mapping
 from napari_hmrf.io.images import ImageFile, write_image
 from napari_hmrf.io.landmark_files import write_points
+from napari_hmrf.io.overwriting import refuse_overwriting
 from napari_hmrf.io.study_file import write_study
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.study import Grid, Pictures, Study
 
 # Approximate number of landmarks per pair.
 _LANDMARKS = 200
-#: Names of the files of each pair.
+#: Names of the files of all pairs, and of each pair.
+_SHARED = "image.mha", "labels.mha"
 _OF_PAIRS = "deformed.mha", "deformed_labels.mha", "field.mha", "landmarks.csv", "truth.study"
+#: Name of the folder of a pair.
+_PAIR = re.compile("[0-9]{3,}")
 
 
 @dataclass(frozen=True)
@@ -42,23 +50,11 @@ class Truth:
     scale : float
         Factor, at most 1, by which the drawn deformation was multiplied to limit the
         compression of tissue.
-    inexact : float
-        Largest error, in pixels, of the written field, which is the inverse of the motion.
     """
 
     folder: Path
     farthest: float
     scale: float
-    inexact: float
-
-
-def truth_files(folder: Path, count: int) -> list[Path]:
-    """Return the paths of the files that `write_truth` writes for `count` pairs."""
-    within = [folder / f"{number + 1:03}" for number in range(count)]
-    return [
-        *(folder / name for name in ("image.mha", "labels.mha")),
-        *(pair / name for pair in within for name in _OF_PAIRS),
-    ]
 
 
 def write_truth(
@@ -67,6 +63,7 @@ def write_truth(
     *,
     count: int = 1,
     seed: int = 0,
+    overwrite: bool = True,
     progress: Callable[[int, int], None] | None = None,
     on_written: Callable[[Truth], None] = lambda _: None,
     **options: Any,
@@ -74,12 +71,12 @@ def write_truth(
     """Deform an image randomly, and write the deformed images with their ground truth.
 
     The function writes ``image.mha`` and ``labels.mha`` to the folder. For each pair, it writes
-    these files to a subfolder ``001``, ``002``, ...:
+    these files, all or none, to a subfolder ``001``, ``002``, ...:
 
     - ``deformed.mha`` and ``deformed_labels.mha``;
     - ``field.mha``, the displacement field that warps the image to the deformed image, in the
       convention of registration software (backward, from each deformed pixel to its origin, in mm,
-      LPS);
+      LPS). At pixels that no tissue covers, it continues the field of the nearest tissue;
     - ``landmarks.csv``, corresponding points in the image and in the deformed image, with the
       columns of BigWarp: in mm, from the first pixel, along the axes of ``image.mha``;
     - ``truth.study``, a study that can be solved and opened in napari.
@@ -89,11 +86,14 @@ def write_truth(
     case : Case
         Image with labels and materials, or a study that contains them.
     folder : Path
-        Output folder, which is created if it does not exist.
+        Output folder, which is created if it does not exist. The image and all pairs of an earlier
+        run are removed when the first pair is complete; other files in the folder are kept.
     count : int
         Number of pairs.
     seed : int
         Seed of the random numbers. The seed of each pair is (seed, index of the pair).
+    overwrite : bool
+        True if the image and the pairs of an earlier run may be removed.
     progress : callable, optional
         As for `RandomDeformation`.
     on_written : callable, optional
@@ -109,9 +109,13 @@ def write_truth(
     Raises
     ------
     HmrfError, OSError
-        As for `read_case` and `RandomDeformation`, or if the case has no image or no labels.
+        As for `read_case` and `RandomDeformation`; if the case has no image or no labels; or if
+        the folder contains an earlier run, and `overwrite` is False or the case reads its files.
     """
     refuse_unless(is_whole(count) and count >= 1, "count", count, "a positive whole number")
+    right = is_whole(seed) and seed >= 0
+    refuse_unless(right, "seed", seed, "a non-negative whole number")
+    _refuse_earlier(folder, case, overwrite)
     study = read_case(case)
     image, labels = study.pictures.image, study.tissue.labels
     if image is None or labels is None:
@@ -132,24 +136,69 @@ def write_truth(
         sample = random.sample((seed, number))
         if not number:
             place = place_of(_placed(sample.solution, study.grid))
-            write_image(folder / "image.mha", ImageFile(image, place, colours))
-            write_image(folder / "labels.mha", ImageFile(labels, place))
-            study = replace(study, grid=_grid_in(folder / "image.mha", study.grid))
-        solution = _placed(sample.solution, study.grid)
-        within = folder / f"{number + 1:03}"
-        within.mkdir(exist_ok=True)
-        moved = {
-            "deformed.mha": ImageFile(sample.image(image), place, colours),
-            "deformed_labels.mha": ImageFile(sample.labels(labels), place),
-        }
-        for name, each in moved.items():
-            write_image(within / name, each)
-        inexact = _write_motion(within, sample, solution, place)
-        write_study(within / "truth.study", _whole(study, sample), solution)
+        with TemporaryDirectory(prefix=".unfinished-", dir=folder) as unfinished:
+            new = Path(unfinished)
+            if not number:
+                write_image(new / "image.mha", ImageFile(image, place, colours))
+                write_image(new / "labels.mha", ImageFile(labels, place))
+                study = replace(study, grid=_grid_in(new / "image.mha", study.grid))
+            solution = _placed(sample.solution, study.grid)
+            pair = new / f"{number + 1:03}"
+            pair.mkdir()
+            moved = {
+                "deformed.mha": ImageFile(sample.image(image), place, colours),
+                "deformed_labels.mha": ImageFile(sample.labels(labels), place),
+            }
+            for name, each in moved.items():
+                write_image(pair / name, each)
+            _write_motion(pair, sample, solution, place)
+            write_study(pair / "truth.study", _whole(study, sample), solution)
+            if not number:
+                _remove_earlier(folder)
+            _publish(new, folder)
         farthest = float(np.linalg.norm(sample.displacement, axis=-1).max())
-        written.append(Truth(within, farthest, sample.scale, inexact))
+        written.append(Truth(folder / pair.name, farthest, sample.scale))
         on_written(written[-1])
     return written
+
+
+def _earlier(folder: Path) -> list[Path]:
+    """Return the files of an earlier run in a folder, of any number of pairs."""
+    pairs = sorted(each for each in folder.glob("*") if _PAIR.fullmatch(each.name))
+    files = [folder / name for name in _SHARED]
+    files += [pair / name for pair in pairs for name in _OF_PAIRS]
+    return [file for file in files if file.is_file()]
+
+
+def _refuse_earlier(folder: Path, case: Case, overwrite: bool) -> None:
+    """Raise an error if an earlier run may not be removed, or is the input of this one."""
+    earlier = _earlier(folder)
+    refuse_overwriting(earlier, overwrite=overwrite)
+    read = {path.resolve() for path in case.inputs}
+    for file in earlier:
+        if file.resolve() in read:
+            raise HmrfError(f"{file} is an input, but would be removed. Choose another folder.")
+
+
+def _remove_earlier(folder: Path) -> None:
+    """Remove the files of an earlier run, whose pairs do not belong to the new image."""
+    earlier = _earlier(folder)
+    for file in earlier:
+        file.unlink()
+    for pair in {file.parent for file in earlier} - {folder}:
+        with suppress(OSError):  # it may contain other files
+            pair.rmdir()
+
+
+def _publish(new: Path, folder: Path) -> None:
+    """Move complete files and pairs into place."""
+    for each in sorted(new.iterdir(), key=Path.is_dir):  # pairs after their image
+        target = folder / each.name
+        if target.is_dir():  # with files that are not of a pair
+            for file in each.iterdir():
+                file.replace(target / file.name)
+        else:
+            each.replace(target)
 
 
 def _placed(solution: Solution, grid: Grid) -> Solution:
@@ -169,17 +218,20 @@ def _grid_in(image: Path, grid: Grid) -> Grid:
     return replace(grid, place=Grid.from_image(image, slice=0 if flat else None).place)
 
 
-def _write_motion(within: Path, sample: RandomSample, solution: Solution, place: Place) -> float:
-    """Write the field and the landmarks; return the error of the inverse field, in pixels."""
+def _write_motion(within: Path, sample: RandomSample, solution: Solution, place: Place) -> None:
+    """Write the field that moves the image, and the landmarks."""
     n = sample.tissue.ndim
-    mm = solution.displacement * (np.array(place.spacing[-n:]) / solution.spacing)
-    inexact = write_field(within / "field.mha", mm, **place._asdict(), tissue=sample.tissue)
+    # The images are warped by the same inverse, not by that of trilinear motion.
+    back = inverse_displacement(
+        sample.displacement, spacing=sample.spacing, tissue=sample.tissue, trilinear=False
+    ).displacement
+    mm = back * (np.array(place.spacing[-n:]) / solution.spacing)
+    write_mapping(within / "field.mha", mm, **place._asdict())
     points = landmarks(sample.tissue)
     # The place of a slice has an additional first axis, along which the index is 0.
     more = len(place.spacing) - n
     ends = (np.pad(each, ((0, 0), (more, 0))) for each in (points, sample.points(points)))
     write_points(within / "landmarks.csv", *(each * place.spacing for each in ends))
-    return inexact
 
 
 def landmarks(tissue: npt.NDArray[np.bool_]) -> npt.NDArray[np.intp]:

@@ -43,7 +43,7 @@ from napari_hmrf.solver.elasticity import Elasticity
 from napari_hmrf.solver.optimizers.base import Convergence
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.problem import as_numbers, checked_spacing, whole_numbers
-from napari_hmrf.solver.solution import Provenance, Solution
+from napari_hmrf.solver.solution import SUM, Provenance, Solution
 from napari_hmrf.study.study import Grid, Study
 from napari_hmrf.tissue.boundary_rules import (
     Material,
@@ -126,7 +126,7 @@ class RandomSample:
             tissue=self.tissue,
             spacing=self.spacing,
             provenance=Provenance(
-                backend="sum",
+                backend=SUM,
                 renderer="a sum of unit solutions",
                 parameters={
                     "prior": study.prior.parameters,

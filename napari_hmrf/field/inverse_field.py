@@ -49,6 +49,7 @@ def inverse_displacement(
     *,
     spacing: Sequence[float],
     tissue: npt.ArrayLike | None = None,
+    trilinear: bool = True,
 ) -> Inverse:
     """Compute the inverse u of a displacement d: u(P) = X - P, where X + d(X) = P.
 
@@ -65,6 +66,10 @@ def inverse_displacement(
     tissue : array_like of bool, shape ([D,] H, W), optional
         Mask of the tissue that moves; by default all sites. A gap between moved tissue and other
         sites is filled as if the field were continuous across the border between them.
+    trilinear : bool
+        If False, volumes are inverted by `inverse_map` only, like slices. The inverse is then the
+        map with which `warp` moves images, also at the border, where half a pixel of tissue
+        surrounds the outermost sites.
 
     Returns
     -------
@@ -77,12 +82,12 @@ def inverse_displacement(
     """
     d = as_field(displacement).astype(np.float64)
     volume = d.shape[-1] == 3
-    if volume and (tissue is None or np.all(tissue)):
+    if trilinear and volume and (tissue is None or np.all(tissue)):
         return _inverse_of_volume(d / spacing, spacing)
     sites = np.moveaxis(np.indices(d.shape[:-1], dtype=np.float64), 0, -1)
     origins, known = inverse_map(d, spacing=spacing, tissue=tissue)
     pixels, moved = d / spacing, known
-    if volume:
+    if trilinear and volume:
         mask = as_mask("tissue", tissue)
         moved = known & (mask | (origins != sites).any(axis=-1))
         origins[moved], moved[moved] = _refined(pixels, mask, sites[moved], origins[moved])

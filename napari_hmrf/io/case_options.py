@@ -101,6 +101,13 @@ class Case:
         given = [name for name in names if getattr(self, name) not in (None, (), False)]
         return tuple(f"--{name.replace('_', '-')}" for name in given)
 
+    @property
+    def inputs(self) -> tuple[Path, ...]:
+        """Paths of the input files and folders."""
+        named = (self.image, self.labels, self.materials, self.boundary, self.rules, *self.maps)
+        confidence = (self.confidence,) if isinstance(self.confidence, Path) else ()
+        return tuple(path for path in (*named, *confidence) if path is not None)
+
 
 def energy_of(case: Case, *, volume: bool = False) -> tuple[Prior, Optimizer]:
     """Return the prior and the optimizer selected by the options of a case.

@@ -101,10 +101,7 @@ class NamedCase:
     @property
     def inputs(self) -> tuple[Path, ...]:
         """Paths of the input files and folders of the case."""
-        case = self.case
-        named = (case.image, case.labels, case.materials, case.boundary, case.rules, *case.maps)
-        confidence = (case.confidence,) if isinstance(case.confidence, Path) else ()
-        return tuple(path for path in (*named, *confidence) if path is not None)
+        return self.case.inputs
 
 
 def read_cases(path: str | os.PathLike[str]) -> tuple[NamedCase, ...]:

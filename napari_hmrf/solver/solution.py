@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     from napari_hmrf.study.study import Grid
 
 
+#: Backend in the record of a sum of solutions, as of a random deformation; no solve has it.
+SUM = "sum"
+
+
 @dataclass(frozen=True)
 class Provenance:
     """Record of a run: backend, device, times, parameters and versions.
@@ -32,7 +36,7 @@ class Provenance:
     Attributes
     ----------
     backend : str
-        "cpu", "opengl:fragment" or "opengl:compute".
+        "cpu", "opengl:fragment" or "opengl:compute"; `SUM` for a sum of solutions.
     renderer : str
         Description of the device.
     reason : str

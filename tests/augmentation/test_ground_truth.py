@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial import KDTree
 
 from napari_hmrf import read_study, solve_study, warp
+from napari_hmrf.augmentation import ground_truth
 from napari_hmrf.cli import main
 from napari_hmrf.io.case import Case, read_case
 from napari_hmrf.io.fields import Place
@@ -69,7 +70,7 @@ def test_simpleitk_reproduces_the_deformed_image_from_the_written_field(pair):
     folder, said = pair
     out = folder / "out"
     assert "moved up to" in said
-    assert "contains the inverse displacement" in said
+    assert "field.mha maps each pixel of deformed.mha to its origin" in said
     image = sitk.ReadImage(str(out / "image.mha"), sitk.sitkFloat64)
     deformed = sitk.ReadImage(str(out / "001" / "deformed.mha"), sitk.sitkFloat64)
     field = sitk.ReadImage(str(out / "001" / "field.mha"), sitk.sitkVectorFloat64)
@@ -105,12 +106,17 @@ def test_the_landmarks_of_a_pair_are_read_where_they_were_written(pair):
     assert all(mark.radius <= part / 2 for mark, part in zip(marks, apart, strict=True))
 
 
-def test_labels_move_with_the_image_and_the_saved_study_reproduces_the_field(pair):
+def test_labels_move_with_the_image_and_the_saved_study_reproduces_the_field(pair, capsys):
     out = pair[0] / "out"
     study, solution = read_study(out / "001" / "truth.study")
     assert study.grid.unit == "millimeter"
     again = solve_study(study, backend="cpu").displacement
     assert (np.abs(again - solution.displacement) / solution.spacing).max() < 0.01
+    capsys.readouterr()
+    assert main(["replay", str(out / "001" / "truth.study")]) == 0
+    said = capsys.readouterr().out
+    assert "the same field within its tolerance" in said
+    assert "the saved field was a sum of solutions" in said
     labels = read_image(out / "labels.mha").pixels
     moved = warp(labels, solution.displacement, spacing=solution.spacing, order=0)
     np.testing.assert_array_equal(read_image(out / "001" / "deformed_labels.mha").pixels, moved)
@@ -123,6 +129,36 @@ def test_pairs_differ_from_each_other_and_a_seed_reproduces_them(files):
     assert truth(files, "--count", 1, "--seed", 1, "--force") == 0
     again = read_image(files / "out" / "001" / "deformed.mha").pixels
     np.testing.assert_array_equal(again, first[0])
+
+
+def test_a_forced_run_replaces_the_pairs_of_an_earlier_run(files, capsys):
+    assert truth(files, "--count", 2) == 0
+    out = files / "out"
+    (out / "002" / "notes.txt").write_text("kept")
+    assert truth(files) == 1
+    assert "image.mha already exists (and 11 more)" in capsys.readouterr().err
+    again = ["truth", str(out / "002" / "truth.study"), "-o", str(out), "--force"]
+    assert main(again) == 1
+    assert "truth.study is an input, but would be removed" in capsys.readouterr().err
+    assert truth(files, "--force") == 0
+    assert len([*(out / "001").iterdir()]) == 5
+    assert sorted(path.name for path in out.iterdir()) == ["001", "002", "image.mha", "labels.mha"]
+    assert [path.name for path in (out / "002").iterdir()] == ["notes.txt"]
+
+
+def test_an_interrupted_run_leaves_no_part_of_a_pair(files, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    out = files / "out"
+    monkeypatch.setattr(ground_truth, "write_study", interrupt)
+    assert truth(files) == 130
+    assert not [*out.iterdir()]
+    monkeypatch.undo()
+    assert truth(files, "--count", 2) == 0
+    monkeypatch.setattr(ground_truth, "write_study", interrupt)
+    assert truth(files, "--force") == 130
+    assert len([*out.rglob("*.*")]) == 12, "the earlier run should be kept"
 
 
 def test_a_volume_is_deformed(tmp_path):
@@ -141,6 +177,27 @@ def test_a_volume_is_deformed(tmp_path):
     assert 0.2 < np.abs(sitk.GetArrayFromImage(field)).max() < 0.51, (
         "the amplitude should be in mm, not in voxels"
     )
+
+
+def test_the_field_of_a_volume_made_the_deformed_image_also_at_a_free_edge(tmp_path):
+    shape = (14, 16, 18)
+    place = Place((2.0, 0.5, 0.7), (-10.0, 20.0, 5.0), np.eye(3))
+    write_image(tmp_path / "scan.mha", ImageFile(smooth_image(shape).astype(np.float32), place))
+    write_image(tmp_path / "labels.mha", ImageFile(np.ones(shape, np.uint8), place))
+    (tmp_path / "m.csv").write_text("label,name,stiffness\n1,brain,3\n")
+    arguments = ["truth", tmp_path / "scan.mha", "--labels", tmp_path / "labels.mha"]
+    arguments += ["--materials", tmp_path / "m.csv", "-o", tmp_path / "out", "--patches", 4]
+    assert main([*map(str, arguments), "--free-edge", "--weight", "0.01"]) == 0
+    pair = tmp_path / "out" / "001"
+    image, deformed = (
+        sitk.ReadImage(tmp_path / "out" / "image.mha"),
+        read_image(pair / "deformed.mha"),
+    )
+    field = sitk.ReadImage(pair / "field.mha", sitk.sitkVectorFloat64)
+    covered = read_image(pair / "deformed_labels.mha").pixels > 0
+    transform = sitk.DisplacementFieldTransform(field)
+    seen = sitk.GetArrayFromImage(sitk.Resample(image, transform))
+    np.testing.assert_allclose(seen[covered], deformed.pixels[covered], atol=1e-3)
 
 
 @pytest.mark.parametrize("options", [(), ("--slice", "5")])
@@ -190,11 +247,14 @@ def test_a_sample_scaled_below_the_amplitude_is_reported_with_shell_options(file
 def test_invalid_arguments_are_reported_before_any_solve(files, capsys):
     assert truth(files, "--count", 0) == 1
     assert truth(files, "--amplitude", -1) == 1
+    assert truth(files, "--seed", -1) == 1
     (files / "m.csv").write_text("label,name,stiffness\n1,brain,3\n")
     assert truth(files) == 1
     said = capsys.readouterr().err
     assert "count must be" in said
     assert "amplitude must be" in said
+    assert "seed must be a non-negative whole number, not -1" in said
+    assert "solved" not in said
     assert "without a material: 2" in said
 
 
