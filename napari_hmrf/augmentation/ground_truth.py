@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from contextlib import suppress
+import secrets
+import shutil
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -136,8 +137,7 @@ def write_truth(
         sample = random.sample((seed, number))
         if not number:
             place = place_of(_placed(sample.solution, study.grid))
-        with TemporaryDirectory(prefix=".unfinished-", dir=folder) as unfinished:
-            new = Path(unfinished)
+        with _unfinished(folder) as new:
             if not number:
                 write_image(new / "image.mha", ImageFile(image, place, colours))
                 write_image(new / "labels.mha", ImageFile(labels, place))
@@ -188,6 +188,17 @@ def _remove_earlier(folder: Path) -> None:
     for pair in {file.parent for file in earlier} - {folder}:
         with suppress(OSError):  # it may contain other files
             pair.rmdir()
+
+
+@contextmanager
+def _unfinished(folder: Path) -> Iterator[Path]:
+    """Make a folder for files that are not yet complete, and remove it with what is left in it."""
+    made = folder / f".unfinished-{secrets.token_hex(4)}"
+    made.mkdir()
+    try:
+        yield made
+    finally:
+        shutil.rmtree(made, ignore_errors=True)
 
 
 def _publish(new: Path, folder: Path) -> None:

@@ -19,7 +19,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import asdict, dataclass
 from functools import cache, partial
 from multiprocessing.connection import Connection, wait
@@ -148,8 +148,11 @@ def solve_cases(
     """
     cases = tuple_of(NamedCase, "cases", cases, 'read_cases("cases.csv")')
     target = Path(folder).absolute()
-    target.mkdir(parents=True, exist_ok=True)
-    with exclusive(target):
+    with ExitStack() as stack:
+        # Nothing is written before the scheduler responds.
+        client = None if scheduler is None else stack.enter_context(_cluster(scheduler))
+        target.mkdir(parents=True, exist_ok=True)
+        stack.enter_context(exclusive(target))
         existing = [case.name for case in cases if (target / case.name).exists()]
         existing += [SUMMARY] * (target / SUMMARY).exists()
         if existing and not resume:
@@ -164,10 +167,10 @@ def solve_cases(
         todo = [case for case in cases if case.name not in finished]
         solve_one = partial(solve_into, folder=target, backend=backend)
         batch = _Batch(cases, finished, target)
-        if scheduler is None:
+        if client is None:
             outcomes = _solve_in_processes(todo, solve_one, jobs or _cores())
         else:
-            outcomes = _solve_on_cluster(todo, solve_one, scheduler)
+            outcomes = _solve_on_cluster(todo, solve_one, client)
         try:
             for outcome in outcomes:
                 state = batch.record(outcome)
@@ -403,22 +406,31 @@ def _cores() -> int:
 # dask cluster
 
 
-def _solve_on_cluster(
-    cases: Sequence[NamedCase], solve_one: Callable[[NamedCase], CaseOutcome], address: str
-) -> Generator[CaseOutcome, None, None]:
-    """Yield the outcomes from the workers of a dask scheduler, in order of completion."""
+def _cluster(address: str) -> Any:
+    """Return a client of a dask scheduler, which is to be closed."""
+    is_file = address.endswith(".json")
+    if is_file and not Path(address).is_file():  # dask would wait until it exists
+        raise HmrfError(f"no dask scheduler: the scheduler file {address} does not exist.")
     try:
-        from distributed import Client, as_completed  # optional: distributed
+        from distributed import Client  # optional: distributed
     except ImportError:
         raise HmrfError(
             "a scheduler requires dask.distributed, which is not installed: "
             f"{how_to_install('cluster')}."
         ) from None
-    location = {"scheduler_file": address} if address.endswith(".json") else {"address": address}
+    location = {"scheduler_file" if is_file else "address": address}
     try:
-        client = Client(**location, set_as_default=False)
+        return Client(**location, set_as_default=False)
     except (OSError, ValueError) as error:
         raise HmrfError(f"no dask scheduler responds at {address}: {error}") from error
+
+
+def _solve_on_cluster(
+    cases: Sequence[NamedCase], solve_one: Callable[[NamedCase], CaseOutcome], client: Any
+) -> Generator[CaseOutcome, None, None]:
+    """Yield the outcomes from the workers of a dask scheduler, in order of completion."""
+    from distributed import as_completed  # optional: distributed
+
     futures: dict[Any, NamedCase] = {}
     try:
         futures = dict(
@@ -434,7 +446,6 @@ def _solve_on_cluster(
                 yield CaseOutcome(case.name, "failed", message)
     finally:
         client.cancel(list(futures))
-        client.close()
 
 
 def _duration(seconds: float) -> str:

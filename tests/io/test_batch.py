@@ -418,6 +418,13 @@ def test_a_scheduler_without_dask_is_refused(files, monkeypatch):
         solve_cases(read_cases(table), files / "out", scheduler="tcp://127.0.0.1:1")
 
 
+def test_a_scheduler_that_does_not_exist_is_refused_before_anything_is_written(files):
+    table = write_table(files, "a,image.tif")
+    with pytest.raises(HmrfError, match=r"scheduler file .*none.json does not exist"):
+        solve_cases(read_cases(table), files / "out", scheduler=str(files / "none.json"))
+    assert not (files / "out").exists()
+
+
 @pytest.mark.filterwarnings("ignore")
 def test_the_workers_of_a_dask_scheduler_solve_cases(files):
     distributed = pytest.importorskip("distributed")
