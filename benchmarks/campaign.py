@@ -533,7 +533,7 @@ def judge_memory(seed: int, number: int, backend: str = "cpu") -> Iterator[Verdi
     y, c = np.zeros((2, *shape, 3))
     c[0] = c[-1] = 1
     y[-1, ..., 0] = 1
-    m = 10 ** dice_of(seed + number).uniform(0, 3, shape)
+    m = 10 ** dice_of(seed, number).uniform(0, 3, shape)
     prior = ElasticPrior(0.3, penalty=math.inf if number % 10 else 5.0)
     solve(Problem(observed=y, confidence=c, stiffness=m), prior, backend=backend)
     yield Verdict("right")

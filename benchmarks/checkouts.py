@@ -20,13 +20,14 @@ ROOT = Path(__file__).resolve().parent.parent
 Turn = dict[str, Any]
 # Prefix of the lines with answers, because libraries also print.
 _ANSWER = "answer: "
-# Program of a worker. The benchmarks are those of this checkout, also where the other one has a
-# folder of the same name.
+# Program of a worker. Benchmarks and problems are those of this checkout, also where the other one
+# has folders of the same names.
 _WORKER = """
 import importlib, sys
-import benchmarks
-folder, name, *arguments = sys.argv[1:]
-benchmarks.__path__ = [folder]
+import benchmarks, validation
+root, name, *arguments = sys.argv[1:]
+for package in (benchmarks, validation):
+    package.__path__ = [f"{root}/{package.__name__}"]
 importlib.import_module(name).work(*arguments)
 """
 
@@ -51,11 +52,10 @@ class CheckoutWorker:
 
     def __init__(self, checkout: Path, name: str, arguments: Sequence[str]) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-c", _WORKER, str(ROOT / "benchmarks"), name, *arguments],
+            [sys.executable, "-c", _WORKER, str(ROOT), name, *arguments],
             cwd=checkout,
             env={
                 **os.environ,
-                # The tests' oracles come from this checkout if the other one has none.
                 "PYTHONPATH": os.pathsep.join([str(checkout), str(ROOT)]),
                 "NAPARI_HMRF_COMPILE": "here",
             },

@@ -729,7 +729,7 @@ _SIZE, _BONE, _END = 64, 14, 28
 #: Rotation of the bone in degrees, and its shift in voxels.
 _ANGLE, _SHIFT = 8, 1.5
 #: Centre, relative to that of the bone, and radius of the artefact.
-_CENTRE, _RADIUS = (0, 0, 20), 7
+_CENTRE, _NEAR = (0, 0, 20), 7
 
 
 class Turned(NamedTuple):
@@ -789,7 +789,7 @@ def bone(case: tuple[str, float]) -> list[str]:
 def artefact(name: str) -> list[str]:
     """Compare the motion around a bright artefact with the true one."""
     given = turned_bone()
-    inside = np.linalg.norm(given.place - _CENTRE, axis=-1) < _RADIUS
+    inside = np.linalg.norm(given.place - _CENTRE, axis=-1) < _NEAR
     damaged = np.where(inside, given.before.max(), given.before)
     image = given.before if name == "none" else damaged
     masks = ~inside if name == "masked" else None
