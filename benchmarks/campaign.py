@@ -665,7 +665,12 @@ def _line(number: int, verdict: Verdict, options: str) -> str:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run campaigns and print the findings."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        description=__doc__.splitlines()[0],
+        epilog="Outcomes that are faults: "
+        + ". ".join(f"{name}: {meaning}" for name, meaning in FAULTS.items())
+        + ".",
+    )
     parser.add_argument("names", nargs="+", metavar="NAME[=EXAMPLES]", help=", ".join(CAMPAIGNS))
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--first", type=int, default=0, help="number of the first problem")
