@@ -146,10 +146,10 @@ def _kinds(kind: type | UnionType) -> str:
     return f"{', '.join(others)} or {last}" if others else last
 
 
-def checked_path(path: Any) -> str:
-    """Convert a path to str; raise `ArgumentError` if the value is not a path."""
+def checked_path(path: Any, name: str = "path", of: str = "file") -> str:
+    """Convert a path to str; raise `ArgumentError` if the argument `name` is not a path."""
     text = os.fsdecode(path) if isinstance(path, str | os.PathLike) else ""
-    refuse_unless(bool(text) and "\0" not in text, "path", path, "the name of a file")
+    refuse_unless(bool(text) and "\0" not in text, name, path, f"the name of a {of}")
     return text
 
 

@@ -406,7 +406,8 @@ def _truth(options: argparse.Namespace) -> int:
     def report(truth: Truth) -> None:
         progress.end()
         part = "" if truth.scale == 1 else f", scaled to {truth.scale:.0%}"
-        print(f"written: {truth.folder} (moved up to {truth.farthest:.3g}{part})", flush=True)
+        moved = f"moved up to {truth.farthest:.3g} {truth.unit}{part}"
+        print(f"written: {truth.folder} ({moved})", flush=True)
 
     progress = _ProgressLine()
     names = ("amplitude", "patches", "weight", "hold_edge", "backend")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import secrets
 import shutil
@@ -14,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.arguments import is_whole, refuse_unless
+from napari_hmrf.arguments import checked_path, is_whole, refuse_unless, require_kind
 from napari_hmrf.augmentation.random_deformation import RandomDeformation, RandomSample
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.deformation import spread
@@ -51,16 +52,19 @@ class Truth:
     scale : float
         Factor, at most 1, by which the drawn deformation was multiplied to limit the
         compression of tissue.
+    unit : str
+        Unit of `farthest`.
     """
 
     folder: Path
     farthest: float
     scale: float
+    unit: str
 
 
 def write_truth(
     case: Case,
-    folder: Path,
+    folder: str | os.PathLike[str],
     *,
     count: int = 1,
     seed: int = 0,
@@ -86,7 +90,7 @@ def write_truth(
     ----------
     case : Case
         Image with labels and materials, or a study that contains them.
-    folder : Path
+    folder : str or path-like
         Output folder, which is created if it does not exist. The image and all pairs of an earlier
         run are removed when the first pair is complete; other files in the folder are kept.
     count : int
@@ -116,6 +120,9 @@ def write_truth(
     refuse_unless(is_whole(count) and count >= 1, "count", count, "a positive whole number")
     right = is_whole(seed) and seed >= 0
     refuse_unless(right, "seed", seed, "a non-negative whole number")
+    count, seed = int(count), int(seed)
+    folder = Path(checked_path(folder, "folder", "folder"))
+    require_kind(Case, "case", case, "Case('scan.nii.gz')")
     _refuse_earlier(folder, case, overwrite)
     study = read_case(case)
     image, labels = study.pictures.image, study.tissue.labels
@@ -132,7 +139,7 @@ def write_truth(
         progress=progress,
         **options,
     )
-    written = []
+    written, digits = [], max(3, len(str(count)))
     for number in range(count):
         sample = random.sample((seed, number))
         if not number:
@@ -143,7 +150,7 @@ def write_truth(
                 write_image(new / "labels.mha", ImageFile(labels, place))
                 study = replace(study, grid=_grid_in(new / "image.mha", study.grid))
             solution = _placed(sample.solution, study.grid)
-            pair = new / f"{number + 1:03}"
+            pair = new / f"{number + 1:0{digits}}"
             pair.mkdir()
             moved = {
                 "deformed.mha": ImageFile(sample.image(image), place, colours),
@@ -157,7 +164,7 @@ def write_truth(
                 _remove_earlier(folder)
             _publish(new, folder)
         farthest = float(np.linalg.norm(sample.displacement, axis=-1).max())
-        written.append(Truth(folder / pair.name, farthest, sample.scale))
+        written.append(Truth(folder / pair.name, farthest, sample.scale, study.grid.unit))
         on_written(written[-1])
     return written
 

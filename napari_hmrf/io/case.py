@@ -462,8 +462,8 @@ def _landmarks(case: Case, path: Path, grid: Grid, whole: ImageFile) -> Drawing:
         raise ProblemError(
             path.name,
             f"has {outside} of {len(sources)} landmarks outside the image. Check that the "
-            f"coordinates are in {'pixels' if place is None else 'mm'}, and remove landmarks "
-            "outside the image.",
+            f"coordinates are in {'pixels' if place is None else 'mm'} along the axes of "
+            f"{case.image.name}, and remove landmarks outside the image.",
         )
     most = largest_spread(grid.shape, grid.spacing)
     if file.sd is not None and (file.sd > most).any():

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Literal
 
+from napari_hmrf.arguments import checked_path, tuple_of
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.solver.model_names import ELASTIC, MODELS, as_word
 from napari_hmrf.solver.optimizers import Multigrid, Optimizer
@@ -26,6 +28,8 @@ from napari_hmrf.tissue.cavity import Cavity
 @dataclass(frozen=True)
 class Case:
     """Input files and options of a case, as given on a command line.
+
+    Paths can be given as text, and are stored as `Path`.
 
     Attributes
     ----------
@@ -93,6 +97,14 @@ class Case:
     penalty: float | None = None
     weight: tuple[float, ...] = ()
     cavity: Cavity | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("image", "labels", "materials", "boundary", "rules", "confidence"):
+            path = getattr(self, name)
+            if path is not None and (name, path) != ("confidence", "edges"):
+                object.__setattr__(self, name, Path(checked_path(path, name)))
+        maps = tuple_of(str | os.PathLike, "maps", self.maps, "('white.nii', 'grey.nii')")
+        object.__setattr__(self, "maps", tuple(Path(checked_path(each, "maps")) for each in maps))
 
     @property
     def options(self) -> tuple[str, ...]:

@@ -246,7 +246,8 @@ def _cases_of(cells: dict[str, str], folder: Path, where: str) -> Iterator[Named
 
 def _plain_name(text: str) -> str:
     """Return text for a folder name, without characters that must be quoted in a shell."""
-    return _SPECIAL.sub("_", text.replace(":", "-")).strip("_") or "_"
+    text = text.replace(":", "-").replace("%", "percent")
+    return _SPECIAL.sub("_", text).strip("_") or "_"
 
 
 def _values(title: str, text: str, image: Path) -> list[str]:

@@ -10,6 +10,7 @@ from scipy.spatial import KDTree
 from napari_hmrf import read_study, solve_study, warp
 from napari_hmrf.augmentation import ground_truth
 from napari_hmrf.cli import main
+from napari_hmrf.errors import ArgumentError
 from napari_hmrf.io.case import Case, read_case
 from napari_hmrf.io.fields import Place
 from napari_hmrf.io.images import ImageFile, read_image, write_image
@@ -129,6 +130,17 @@ def test_pairs_differ_from_each_other_and_a_seed_reproduces_them(files):
     assert truth(files, "--count", 1, "--seed", 1, "--force") == 0
     again = read_image(files / "out" / "001" / "deformed.mha").pixels
     np.testing.assert_array_equal(again, first[0])
+
+
+def test_paths_are_also_given_as_text(files):
+    paths = (str(files / name) for name in ("scan.mha", "labels.png", "m.csv"))
+    case = Case(*paths)
+    [written] = ground_truth.write_truth(case, str(files / "out"), patches=4, count=1.0)
+    assert (written.folder, written.unit) == (files / "out" / "001", "millimeter")
+    with pytest.raises(ArgumentError, match=r"^image must be the name of a file, not 3$"):
+        Case(3)
+    with pytest.raises(ArgumentError, match=r"^case must be a Case"):
+        ground_truth.write_truth(str(files / "scan.mha"), files)
 
 
 def test_a_forced_run_replaces_the_pairs_of_an_earlier_run(files, capsys):

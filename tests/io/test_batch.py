@@ -90,14 +90,14 @@ def moved(folder, name):
 def test_a_cell_with_several_values_makes_one_case_per_value(files):
     table = write_table(
         files,
-        "film,film.tif,all,0.1;0.2,",
+        "film,film.tif,all,0.1;20%,",
         ",image.tif,,0.1/0,paper-converged",
         "b,film.tif,1-2,,",
         more=",slice,growth:tumour,model",
     )
     cases = read_cases(table)
     assert [case.name for case in cases] == [
-        *(f"film_slice-{n}_growth-tumour-{by}" for n in range(3) for by in (0.1, 0.2)),
+        *(f"film_slice-{n}_growth-tumour-{by}" for n in range(3) for by in ("0.1", "20percent")),
         "image_growth-tumour-0.1_0_model-paper-converged",
         "b_slice-1",
         "b_slice-2",
