@@ -14,7 +14,12 @@ from typing import Any
 import numba
 import numpy as np
 
-from napari_hmrf.solver.backends.compile_cache.threaded import LOOPS, portion, threaded
+from napari_hmrf.solver.backends.compile_cache.threaded import (
+    LOOPS,
+    bounds_of_part,
+    portion,
+    threaded,
+)
 
 _callee = numba.njit(no_cpython_wrapper=True, **LOOPS)
 
@@ -476,8 +481,8 @@ def refine(thread, moved, tissue, begin, end, slabs, source, state):
     if min(tissue.shape) < 2:
         return
     for slab in portion(thread, slabs):
-        first = begin + slab * (end - begin) // slabs
-        past = begin + (slab + 1) * (end - begin) // slabs
+        start, stop = bounds_of_part(slab, slabs, end - begin)
+        first, past = begin + start, begin + stop
         for plane in range(first, past):
             for row in range(state.shape[1]):
                 for col in range(state.shape[2]):
@@ -564,8 +569,8 @@ def rasterise(thread, moved, tissue, reach, begin, end, slabs, source, state):
         origins more than a voxel apart.
     """
     for slab in portion(thread, slabs):
-        first = begin + slab * (end - begin) // slabs
-        past = begin + (slab + 1) * (end - begin) // slabs
+        start, stop = bounds_of_part(slab, slabs, end - begin)
+        first, past = begin + start, begin + stop
         _tetrahedra(moved, tissue, source, state, reach, first, past)
 
 
@@ -589,8 +594,8 @@ def outline(thread, moved, tissue, outer, reach, longest, begin, end, slabs, sou
         all planes are given (P = D), the `source` of each empty voxel outside tissue is the voxel.
     """
     for slab in portion(thread, slabs):
-        first = begin + slab * (end - begin) // slabs
-        past = begin + (slab + 1) * (end - begin) // slabs
+        start, stop = bounds_of_part(slab, slabs, end - begin)
+        first, past = begin + start, begin + stop
         _outline(moved, tissue, outer, source, state, reach, longest, first, past)
         if len(state) == len(tissue):
             _stay(tissue, source, state, first, past)

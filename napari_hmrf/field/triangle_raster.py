@@ -13,7 +13,12 @@ import math
 import numba
 import numpy as np
 
-from napari_hmrf.solver.backends.compile_cache.threaded import LOOPS, portion, threaded
+from napari_hmrf.solver.backends.compile_cache.threaded import (
+    LOOPS,
+    bounds_of_part,
+    portion,
+    threaded,
+)
 
 # Decorators for functions that only compiled code calls. `_inlined` avoids a function call for each
 # cell; the calls would take a quarter of the run time.
@@ -326,6 +331,6 @@ def rasterise_displaced(
             _note_reach(moved, tissue, row, reach)
     elif fine.all():
         for band in portion(thread, bands):
-            first, past = band * height // bands, (band + 1) * height // bands
+            first, past = bounds_of_part(band, bands, height)
             _triangles(moved, tissue, source, state, reach, first, past)
             _outline(moved, tissue, source, state, reach, first, past)

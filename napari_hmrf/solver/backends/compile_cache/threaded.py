@@ -57,10 +57,17 @@ class ThreadedLoop(partial[None]):
 
 
 @numba.njit(inline="always", error_model="numpy")
+def bounds_of_part(number, count, total):
+    """Return the start and stop of one of `count` parts of the indices from 0 to `total`."""
+    return number * int64(total) // count, (number + 1) * int64(total) // count
+
+
+@numba.njit(inline="always", error_model="numpy")
 def portion(thread, total):
     """Return a thread's part of the indices from 0 to `total` (exclusive)."""
-    begin = max(thread[0] * int64(total) // thread[1], int64(0))
-    return range(begin, max((thread[0] + 1) * int64(total) // thread[1], begin))
+    start, stop = bounds_of_part(thread[0], thread[1], total)
+    start = max(start, int64(0))
+    return range(start, max(stop, start))
 
 
 def _launch() -> None:
@@ -220,12 +227,20 @@ class _ForkedWithoutOverlap(_Forked):
 
 
 def threaded(
-    *, disjoint: bool = False, creates: bool = False, turns: int = 1, **options: Any
+    source: bytes = b"",
+    *,
+    disjoint: bool = False,
+    creates: bool = False,
+    turns: int = 1,
+    **options: Any,
 ) -> Callable[[Callable[..., None]], ThreadedLoop]:
     """Return a decorator that compiles a multithreaded loop and caches it on disk.
 
     Parameters
     ----------
+    source : bytes
+        Digest of the source files that the loop inlines, if any; it is compiled again after a
+        change.
     disjoint : bool
         True if the loop writes no array that overlaps another of its arguments; such a loop is
         vectorized without a comparison of addresses.
@@ -243,7 +258,7 @@ def threaded(
 
     def decorate(function: Callable[..., None]) -> ThreadedLoop:
         made = compiled(function)
-        stamp(made, _SOURCE)
+        stamp(made, _SOURCE + source)
         return ThreadedLoop(made, (0, 0, turns))
 
     return decorate

@@ -63,7 +63,7 @@ from napari_hmrf.solver.backends.cpu.finite_bricks import (
     twisted,
     volumes,
 )
-from napari_hmrf.solver.backends.cpu.forces import clear
+from napari_hmrf.solver.backends.cpu.forces import clear, planes_of_turn
 
 #: Number of planes of a level's model.
 PLANES = np.int64(13)
@@ -272,9 +272,8 @@ def diagonal(thread, tangent, q, out):
     if thread[2] == 0:
         clear(thread, out)
     else:
-        odd = thread[2] - 1
-        for half in portion(thread, (tangent.shape[1] - 3 - odd) // 2):
-            _diagonal_plane(tangent, q, 2 * half + odd + 2, out)
+        for z in planes_of_turn(thread, tangent.shape[1]):
+            _diagonal_plane(tangent, q, z, out)
 
 
 @callee
@@ -374,10 +373,9 @@ def image(thread, d, tangent, q, out):
     if thread[2] == 0:
         clear(thread, out)
     else:
-        odd = thread[2] - 1
-        for half in portion(thread, (d.shape[1] - 3 - odd) // 2):
+        for z in planes_of_turn(thread, d.shape[1]):
             f = np.zeros(FLOATS, dtype=d.dtype)
-            _image_plane(d, tangent, q, 2 * half + odd + 2, f, out)
+            _image_plane(d, tangent, q, z, f, out)
 
 
 @parallel

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import gc
 from collections.abc import Callable
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import numba
@@ -20,14 +20,12 @@ from napari_hmrf.solver.backends.compile_cache.disk_cache import sources, stamp
 from napari_hmrf.solver.backends.compile_cache.threaded import (
     ALONE,
     LOOPS,
-    ThreadedLoop,
+    bounds_of_part,
     portion,
     threaded,
 )
 
-__all__ = ["ALONE", "portion"]
-
-_HERE = Path(__file__).parent
+__all__ = ["ALONE", "bounds_of_part", "portion"]
 
 # Contraction (one rounding for x * y + z) is allowed. Reordering is not, because it could replace
 # differences between displacements by sums in which large terms cancel.
@@ -75,20 +73,8 @@ def _cached(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     def decorate(function: Callable[..., Any]) -> Any:
         made = numba.njit(cache=True, nogil=True, **LOOPS, **options)(function)
-        stamp(made, sources(_HERE))
+        stamp(made, sources())
         return made
-
-    return decorate
-
-
-def _threaded(**options: Any) -> Callable[[Callable[..., None]], ThreadedLoop]:
-    """Return the same decorator for a multithreaded loop."""
-    compiled = threaded(**options)
-
-    def decorate(function: Callable[..., None]) -> ThreadedLoop:
-        loop = compiled(function)
-        stamp(loop.compiled, sources(_HERE))
-        return loop
 
     return decorate
 
@@ -98,6 +84,9 @@ def _callee(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     made: Callable[..., Any] = numba.njit(no_cpython_wrapper=True, **LOOPS, **options)
     return made
 
+
+# Multithreaded loops are compiled again, too, when any file of this folder changes.
+_threaded = partial(threaded, sources())
 
 #: Decorator for functions that numba inlines into the source of their callers.
 inline = numba.njit(inline="always", error_model="numpy")

@@ -21,6 +21,7 @@ from numba import float32
 
 from napari_hmrf.solver.backends.cpu.compiled import (
     alone,
+    bounds_of_part,
     callee,
     disjoint_callee,
     disjoint_parallel,
@@ -33,7 +34,6 @@ from napari_hmrf.solver.backends.cpu.forces import (
     left_of,
     left_over,
     pair,
-    part,
     place,
     row_force,
     rows_of,
@@ -81,7 +81,7 @@ def apply(thread, d, lame, inverse, data, shape, where, out, row_totals, count):
     `data` contains the tensors of the data term, in double precision, or is None.
     """
     for number in portion(thread, count):
-        first, last = part(number, count, len(where[1]))
+        first, last = bounds_of_part(number, count, len(where[1]))
         apply_part(d, lame, inverse, data, shape, where, out, row_totals, first, last)
 
 
@@ -161,7 +161,7 @@ def smooth(
     `out` contains the displacement before the previous step.
     """
     for number in portion(thread, count):
-        first, last = part(number, count, len(where[1]))
+        first, last = bounds_of_part(number, count, len(where[1]))
         tissue, pace = (load, lame, inverse, shape), (scale, ahead, back)
         _smooth_part(d, tissue, (weight, springs), mixed, where, out, pace, first, last)
 
@@ -232,7 +232,7 @@ def begin(
     The first step is ``start * D^-1 load``; the second step is `smooth` applied to the first.
     """
     for number in portion(thread, count):
-        first, last = part(number, count, len(where[1]))
+        first, last = bounds_of_part(number, count, len(where[1]))
         tissue, pace = (load, lame, inverse, shape), (scale, ahead, back)
         _begin_part(tissue, (weight, springs), mixed, where, out, start, pace, first, last)
 
@@ -307,7 +307,7 @@ def leave(
     rows, and `columns` contains the columns of each that are written.
     """
     for number in portion(thread, count):
-        first, last = part(number, count, len(of_coarse) - 4)
+        first, last = bounds_of_part(number, count, len(of_coarse) - 4)
         tissue, weights = (load, lame, inverse, shape), (weight, springs)
         _leave_part(d, tissue, weights, mixed, where, coarse, of_coarse, columns, first, last)
 

@@ -12,6 +12,7 @@ import numpy as np
 from numba import float32
 
 from napari_hmrf.solver.backends.cpu.compiled import (
+    bounds_of_part,
     callee,
     contracted_reduction,
     disjoint_callee,
@@ -20,7 +21,7 @@ from napari_hmrf.solver.backends.cpu.compiled import (
     portion,
     shared,
 )
-from napari_hmrf.solver.backends.cpu.forces import left_of, pair, part, place, row_force, rows_of
+from napari_hmrf.solver.backends.cpu.forces import left_of, pair, place, row_force, rows_of
 from napari_hmrf.solver.backends.cpu.vectors import line_largest, line_product
 
 
@@ -102,7 +103,7 @@ def balance(
     of its squares.
     """
     for number in portion(thread, count):
-        first, last = part(number, count, len(where[1]))
+        first, last = bounds_of_part(number, count, len(where[1]))
         tissue = lame, inverse, shape
         _balance_part(
             d,
@@ -156,7 +157,7 @@ def work(thread, d, lame, data, shape, where, row_products, row_squares, count):
     `data` contains the tensors of the data term, which are part of A, or is None.
     """
     for number in portion(thread, count):
-        first, last = part(number, count, len(row_products))
+        first, last = bounds_of_part(number, count, len(row_products))
         _work_part(d, lame, data, shape, where, row_products, row_squares, first, last)
 
 
@@ -185,5 +186,5 @@ def _pull_part(d, lame, shape, where, out, first, last):
 def pull(thread, d, lame, shape, where, out, count):
     """Write -A d to `out`, including its values at prescribed components."""
     for number in portion(thread, count):
-        first, last = part(number, count, len(where[1]))
+        first, last = bounds_of_part(number, count, len(where[1]))
         _pull_part(d, lame, shape, where, out, first, last)

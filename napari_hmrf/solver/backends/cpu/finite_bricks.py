@@ -31,7 +31,7 @@ from napari_hmrf.solver.backends.cpu.compiled import (
     scratch_parallel,
     shared,
 )
-from napari_hmrf.solver.backends.cpu.forces import clear
+from napari_hmrf.solver.backends.cpu.forces import clear, planes_of_turn
 
 #: Number of elements of a block; a line of scratch memory has room for all elements of a block.
 BLOCK = 64
@@ -450,12 +450,10 @@ def forces(thread, d, solid, q, barrier, out):
     if thread[2] == 0:
         clear(thread, out)
     else:
-        odd = thread[2] - 1
-        for half in portion(thread, (d.shape[1] - 3 - odd) // 2):
+        for z in planes_of_turn(thread, d.shape[1]):
             f, points = np.zeros(FLOATS), np.zeros(POINTS)
             edges, net = np.empty((3, 4, 3)), np.empty(27)
             pulls = np.empty((3, 4, 3))
-            z = 2 * half + odd + 2
             _forces_plane(d, solid, q, barrier, z, f, points, edges, net, pulls, out)
 
 
@@ -546,11 +544,9 @@ def image(thread, d, way, solid, q, positive, out):
     if thread[2] == 0:
         clear(thread, out)
     else:
-        odd = thread[2] - 1
-        for half in portion(thread, (d.shape[1] - 3 - odd) // 2):
+        for z in planes_of_turn(thread, d.shape[1]):
             f = np.zeros(FLOATS, dtype=way.dtype)
             points = np.zeros(POINTS, dtype=way.dtype)
-            z = 2 * half + odd + 2
             _image_plane(d, way, solid, q, positive, z, f, points, out)
 
 

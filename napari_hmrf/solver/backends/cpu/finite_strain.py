@@ -18,7 +18,13 @@ import math
 
 import numpy as np
 
-from napari_hmrf.solver.backends.cpu.compiled import callee, disjoint_parallel, inline, portion
+from napari_hmrf.solver.backends.cpu.compiled import (
+    bounds_of_part,
+    callee,
+    disjoint_parallel,
+    inline,
+    portion,
+)
 
 # Indices of the parameters of an element in `solid`.
 SHEAR, FIRST, WHOLE, TWIST, RR, RC, CC = np.arange(7)
@@ -134,7 +140,7 @@ def energy(thread, d, solid, about, row_energy, row_least, count):
     """
     height = len(row_energy)
     for number in portion(thread, count):
-        first, last = number * height // count, (number + 1) * height // count
+        first, last = bounds_of_part(number, count, height)
         _energy_part(d, solid, about, row_energy, row_least, first, last)
 
 
@@ -196,7 +202,7 @@ def forces(thread, d, solid, about, out, count):
     """Compute the gradient of the energy with respect to the displacement of each site."""
     height = d.shape[1] - 4
     for number in portion(thread, count):
-        first, last = number * height // count, (number + 1) * height // count
+        first, last = bounds_of_part(number, count, height)
         _forces_part(d, solid, about, out, first, last)
 
 
@@ -269,5 +275,5 @@ def length(thread, d, way, solid, about, part, floor, row_length, each, count):
     """
     height = len(row_length)
     for number in portion(thread, count):
-        first, last = number * height // count, (number + 1) * height // count
+        first, last = bounds_of_part(number, count, height)
         _length_part(d, way, solid, about, part, floor, row_length, first, last, each)

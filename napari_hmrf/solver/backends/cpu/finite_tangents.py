@@ -14,6 +14,7 @@ import numpy as np
 
 from napari_hmrf.solver.backends.cpu.compiled import (
     alone,
+    bounds_of_part,
     callee,
     disjoint_parallel,
     inline,
@@ -283,7 +284,7 @@ def tangents(thread, d, solid, about, positive, calm, out, cycled, count):
     """
     height = d.shape[1] - 4
     for number in portion(thread, count):
-        first, last = number * height // count, (number + 1) * height // count
+        first, last = bounds_of_part(number, count, height)
         _tangent_part(d, solid, about, positive, calm, out, cycled, first, last)
 
 

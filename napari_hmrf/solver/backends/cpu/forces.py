@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from numba import get_num_threads
 
-from napari_hmrf.solver.backends.cpu.compiled import callee, inline, portion, shared
+from napari_hmrf.solver.backends.cpu.compiled import bounds_of_part, callee, inline, portion, shared
 
 # Smallest number of rows per thread; with fewer rows, too many rows would be computed twice.
 _FEW_ROWS = 16
@@ -204,6 +204,8 @@ def clear(thread, out):
 
 
 @inline
-def part(number, count, height):
-    """Return the start and stop row of thread `number` out of `count` threads."""
-    return number * height // count, (number + 1) * height // count
+def planes_of_turn(thread, planes):
+    """Return a thread's planes of elements in turn 1 or 2, out of the planes of an array."""
+    odd = thread[2] - 1
+    begin, end = bounds_of_part(thread[0], thread[1], (planes - 3 - odd) // 2)
+    return range(2 * begin + odd + 2, 2 * end + odd + 2, 2)

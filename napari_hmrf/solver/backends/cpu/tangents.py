@@ -13,7 +13,13 @@ import numpy as np
 from numba import float32
 
 from napari_hmrf.solver.backends.cpu import small_cycle
-from napari_hmrf.solver.backends.cpu.compiled import callee, disjoint_parallel, portion, strict
+from napari_hmrf.solver.backends.cpu.compiled import (
+    bounds_of_part,
+    callee,
+    disjoint_parallel,
+    portion,
+    strict,
+)
 from napari_hmrf.solver.backends.cpu.vectors import row_product
 
 #: Number of model planes per level: 13 numbers of each tangent, and its damping.
@@ -112,7 +118,7 @@ def apply(thread, d, tangent, inverse, coupled, weight, springs, out, row_totals
     """Write (A + W) d to `out`, or 0 at fixed components; store d . out per row in `row_totals`."""
     height = d.shape[1] - 4
     for number in portion(thread, count):
-        first, last = number * height // count, (number + 1) * height // count
+        first, last = bounds_of_part(number, count, height)
         _apply_part(d, tangent, inverse, coupled, weight, springs, out, row_totals, first, last)
 
 
@@ -144,7 +150,7 @@ def smooth(thread, d, load, tangent, inverse, weight, springs, out, scale, ahead
     """
     height = d.shape[1] - 4
     for number in portion(thread, count):
-        first, last = number * height // count, (number + 1) * height // count
+        first, last = bounds_of_part(number, count, height)
         pace = scale, ahead, back
         _smooth_part(d, load, tangent, inverse, weight, springs, out, pace, first, last)
 
@@ -172,7 +178,7 @@ def rest(thread, d, load, tangent, inverse, weight, springs, out, count):
     """Write load - (A + W) d to `out`, or 0 at fixed components."""
     height = d.shape[1] - 4
     for number in portion(thread, count):
-        first, last = number * height // count, (number + 1) * height // count
+        first, last = bounds_of_part(number, count, height)
         _rest_part(d, load, tangent, inverse, weight, springs, out, first, last)
 
 

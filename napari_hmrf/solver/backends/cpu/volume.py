@@ -21,6 +21,7 @@ import numpy as np
 from numba import float32, float64, get_num_threads
 
 from napari_hmrf.solver.backends.cpu.compiled import (
+    bounds_of_part,
     callee,
     contracted_reduction,
     disjoint,
@@ -31,7 +32,6 @@ from napari_hmrf.solver.backends.cpu.compiled import (
     scratch_parallel,
     shared,
 )
-from napari_hmrf.solver.backends.cpu.forces import part
 from napari_hmrf.solver.backends.cpu.hexahedra import BLOCK, block_forces, force_of, scratch
 
 # Smallest number of planes per thread; with fewer planes, too many planes would be computed twice.
@@ -161,7 +161,7 @@ def smooth(
     pace = paces[step, 0], paces[step, 1], paces[step, 2]
     tissue, weights = (lame, share, shape), (weight, springs)
     for number in portion(thread, count):
-        first, last = part(number, count, len(at) - 4)
+        first, last = bounds_of_part(number, count, len(at) - 4)
         _smooth_part(
             source, tissue, weights, mixed, load, inverse, where, target, pace, first, last
         )
@@ -263,7 +263,7 @@ def filtered_rest(thread, d, load, lame, share, inverse, weight, mixed, shape, w
     """Write the residual load - (A + W) d, filtered for the data term (`data_weights`)."""
     at = where[0]
     for number in portion(thread, count):
-        first, last = part(number, count, len(at) - 4)
+        first, last = bounds_of_part(number, count, len(at) - 4)
         tissue = lame, share, shape
         _leave_part(d, tissue, weight, mixed, load, inverse, where, out, first, last)
 
@@ -327,7 +327,7 @@ def rest(
     """
     at = where[0]
     for number in portion(thread, count):
-        first, last = part(number, count, len(at) - 4)
+        first, last = bounds_of_part(number, count, len(at) - 4)
         tissue, weights, loads = (lame, share, shape), (weight, springs), (load, given, scale)
         _rest_part(d, of_d, tissue, weights, mixed, loads, inverse, where, out, first, last)
 
@@ -359,7 +359,7 @@ def pull(thread, d, of_d, lame, share, shape, where, out, count):
     """
     at = where[0]
     for number in portion(thread, count):
-        first, last = part(number, count, len(at) - 4)
+        first, last = bounds_of_part(number, count, len(at) - 4)
         _pull_part(d, of_d, (lame, share, shape), where, out, first, last)
 
 
@@ -418,7 +418,7 @@ def work(thread, d, of_d, lame, share, data, shape, where, products, squares, co
     """
     at = where[0]
     for number in portion(thread, count):
-        first, last = part(number, count, len(at) - 4)
+        first, last = bounds_of_part(number, count, len(at) - 4)
         _work_part(d, of_d, (lame, share, shape), data, where, products, squares, first, last)
 
 
