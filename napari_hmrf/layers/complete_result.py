@@ -11,13 +11,14 @@ import numpy as np
 
 from napari_hmrf.field.held_forces import held_forces
 from napari_hmrf.layers.result_layers import Outputs, result_layers
+from napari_hmrf.notes import kind_of
 from napari_hmrf.posterior.study_uncertainty import ground_uncertainty
 from napari_hmrf.solver.drift import drift_clauses
 from napari_hmrf.solver.priors import Elastic, ElasticPrior
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.engine import Deformation
 from napari_hmrf.study.ground import Ground
-from napari_hmrf.study.shortcomings import shortcomings
+from napari_hmrf.study.shortcomings import FOLDS, shortcomings
 from napari_hmrf.tissue.drawing.record import record_of
 
 #: Largest number of labels whose mean displacements are estimated. More labels would take longer
@@ -66,10 +67,9 @@ def complete_result(
         where = kept.tissue if is_quick else np.zeros_like(kept.tissue)
         estimate = partial(ground_uncertainty, ground, stated, labels=labels, where=where)
     outputs = result_layers(kept, place, pictures, checkpoint, stated.problem, forces, estimate)
-    caveats = [*shortcomings(solved, study.grid.unit, outputs.folds, stated.problem)]
-    if outputs.folds:
-        del caveats[0]  # the warning chip reports the number of folds
-    notes = (*filter(None, caveats), *of_study)
+    short = shortcomings(solved, study.grid.unit, outputs.folds, stated.problem)
+    # The warning chip reports the number of folds.
+    notes = (*(note for note in short if kind_of(note) != FOLDS), *of_study)
     return CompleteResult(moved, outputs, notes)
 
 

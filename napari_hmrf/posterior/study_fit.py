@@ -13,10 +13,10 @@ import numpy.typing as npt
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.posterior.fit import Fit, FittedProperty, fit
 from napari_hmrf.registration.study_registration import SecondPicture
-from napari_hmrf.solver.priors import Elastic
 from napari_hmrf.solver.solve import CancelFlag, Progress
-from napari_hmrf.study.ground import Ground, refuse_sliding_parts
+from napari_hmrf.study.ground import Ground
 from napari_hmrf.study.study import Motion, Study
+from napari_hmrf.study.support import refuse_model, refuse_sliding_parts
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 
 
@@ -116,14 +116,10 @@ def fit_study(
             study.named("drawing"),
             "has tissue that slides, which a fit does not support. Remove the sliding surface.",
         )
-    if not isinstance(study.prior, Elastic):
-        raise ProblemError(
-            "model",
-            f"is '{study.model_name}', which a fit does not support. Use the elastic model or "
-            "large motion.",
-        )
+    refuse_model(study, "fit")
     bare = replace(study, motion=replace(study.motion, measured=None))
     stated = Ground.of(bare).statement()
+    refuse_sliding_parts(study, stated.problem, "fit")
     images, landmarks = None, None
     if second is None and measured is None:
         landmarks = stated.problem.landmarks
@@ -138,7 +134,6 @@ def fit_study(
         if image is None:
             raise ProblemError("image", "is missing. Choose the image before the motion.")
         images = np.asarray(image, np.float32), np.where(second.known, second.pixels, np.nan)
-    refuse_sliding_parts(study, stated.problem, "a fit")
     with study.naming():
         found = fit(
             stated.problem,

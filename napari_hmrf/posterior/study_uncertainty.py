@@ -12,13 +12,9 @@ from napari_hmrf.posterior.uncertainty import Uncertainty, checked_labels, uncer
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.solve import CancelFlag, Progress
 from napari_hmrf.solver.uncertain_landmarks import StrainScale
-from napari_hmrf.study.ground import (
-    Ground,
-    Statement,
-    at_place_of,
-    refuse_sliding_parts,
-)
+from napari_hmrf.study.ground import Ground, Statement, at_place_of
 from napari_hmrf.study.study import Study
+from napari_hmrf.study.support import refuse_model, refuse_sliding_parts
 
 
 def study_uncertainty(
@@ -106,13 +102,9 @@ def ground_uncertainty(
             "has a precision that is relative to the similarity of two images, so its uncertainty "
             "is unknown. Remove the measured motion, or use landmarks with a standard deviation.",
         )
-    if not isinstance(stated.prior, ElasticPrior):
-        raise ProblemError(
-            "model",
-            f"is {study.model_name!r}, whose uncertainty is not defined or not implemented. Use "
-            "the elastic model (`model='elastic'`), or leave the uncertainty out.",
-        )
-    refuse_sliding_parts(study, problem, "an uncertainty")
+    refuse_model(study, "uncertainty")
+    refuse_sliding_parts(study, problem, "uncertainty")
+    assert isinstance(stated.prior, ElasticPrior)
     scale = None  # landmarks have their own
     if problem.landmarks is None:
         scale = StrainScale(study.motion.typical_strain, stiffness=ground.typical_stiffness)

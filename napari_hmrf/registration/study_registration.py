@@ -17,9 +17,10 @@ from napari_hmrf.registration.register import check_contrast, on_grid, registere
 from napari_hmrf.registration.result import Registration
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.solve import CancelFlag, Progress
-from napari_hmrf.study.ground import Ground, refuse_measurement, refuse_sliding_parts
+from napari_hmrf.study.ground import Ground
 from napari_hmrf.study.measured_motion import MeasuredMotion
 from napari_hmrf.study.study import Study
+from napari_hmrf.study.support import refuse_model, refuse_sliding_parts
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,13 +106,13 @@ def register_study(
     image = study.intensities
     if image is None:
         raise ProblemError("image", "is missing. Choose the image to register.")
-    refuse_measurement(study)
+    refuse_model(study, "registration")
     sites = np.ones(study.grid.shape, np.bool_)
     nothing = MeasuredMotion(np.zeros((*sites.shape, sites.ndim), np.float32), placeholder(sites))
     free = replace(study.motion, measured=nothing, hold_edge=False)
     ground = Ground.of(replace(study, motion=free), checkpoint)
     statement = ground.statement()
-    refuse_sliding_parts(study, statement.problem, "a registration")
+    refuse_sliding_parts(study, statement.problem, "registration")
     prior = statement.prior
     assert isinstance(prior, ElasticPrior)
     pixels = np.asarray(image, np.float32)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
+from napari_hmrf.notes import Note
 from napari_hmrf.solver.model_names import converged
 from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.optimizers.base import Reach
@@ -23,8 +24,8 @@ _NAMED_REGIONS = 3
 # Difference of the observed displacements of two neighbouring sites, in pixels, above which tissue
 # between them cannot follow.
 _TEARING = 3.0
-#: Clause for tissue without sufficient constraints.
-LOOSE = "nothing holds the tissue"
+#: Kind of the note about tissue without sufficient constraints.
+LOOSE = "loose"
 
 
 def caveats(problem: Problem, prior: Prior, optimizer: Optimizer) -> tuple[str, ...]:
@@ -54,7 +55,7 @@ def shortfall(reach: Reach | None, unit: str) -> str:
     unit : str
         Unit of lengths.
     """
-    clauses = []
+    clauses, short = [], ""
     if reach is not None and reach.grown < 1:
         clauses.append(f"only {reach.grown:.0%} of the growth was possible: there is no more room")
     if reach is not None and reach.where is not None:
@@ -63,6 +64,9 @@ def shortfall(reach: Reach | None, unit: str) -> str:
             if reach.stopped
             else "tissue could not move all the way without folding"
         )
+        if not clauses:
+            end = "is not fully there yet" if reach.stopped else "stays short of its target"
+            short = f"{'' if reach.stopped else 'some '}tissue {end}"
         clauses.append(
             f"{cause}: {reach.sites} pixels stay short of their targets, the pixel at "
             f"{reach.where} by {reach.missing:.3g} {unit}{_other_regions(reach)}"
@@ -75,7 +79,7 @@ def shortfall(reach: Reach | None, unit: str) -> str:
         )
     if clauses and reach is not None and reach.stopped:
         clauses.append("to go on, allow more work (`budget`)")
-    return "; ".join(clauses)
+    return Note("; ".join(clauses), short) if clauses else ""
 
 
 def touching(problem: Problem) -> str:
@@ -101,9 +105,10 @@ def touching(problem: Problem) -> str:
             at = tuple(map(int, first))
     if not at:
         return ""
-    return (
+    return Note(
         f"at {at}, tissue that is held or moved in two different ways touches, and what lies "
-        "between is torn or crushed: release one of the two, or move them farther apart"
+        "between is torn or crushed: release one of the two, or move them farther apart",
+        short="held and moved tissue touch",
     )
 
 
@@ -146,7 +151,7 @@ def missing_constraint(problem: Problem) -> str:
         return ""
     motion = "moves as one" if is_translation else "gives way"
     remedy = "hold its edge (`hold_edge=True`), or paint the tissue that stays in place"
-    return f"{LOOSE}, so that all of it {motion}: {remedy}"
+    return Note(f"nothing holds the tissue, so that all of it {motion}: {remedy}", kind=LOOSE)
 
 
 def rigid_caveat(problem: Problem, prior: Prior) -> str:
@@ -165,9 +170,10 @@ def rigid_caveat(problem: Problem, prior: Prior) -> str:
     if not count:
         return ""
     pixels = "1 boundary pixel was" if count == 1 else f"{count} boundary pixels were"
-    return (
+    return Note(
         f"{pixels} held exactly, although the confidence is below 1, because observations cannot "
-        "slip in a problem with rigid tissue"
+        "slip in a problem with rigid tissue",
+        short="uncertain tissue is held exactly",
     )
 
 
@@ -188,9 +194,10 @@ def _thin_boundary(problem: Problem) -> str:
         shares.append(float(sampled(observed, level).sum()) / max(1.0, float(blocks.sum())))
     if np.mean(shares) > _SAMPLED_SHARE:
         return ""
-    return (
+    return Note(
         "most of the boundary is so thin that the coarse levels miss it, and the motion falls "
-        "short: make it at least 3 pixels wide"
+        "short: make it at least 3 pixels wide",
+        short="the boundary is too thin",
     )
 
 
@@ -205,4 +212,7 @@ def _loose_pieces(problem: Problem) -> str:
     pixels = int((problem.tissue & ~np.isin(pieces, held)).sum())
     sites = "voxels" if problem.tissue.ndim == 3 else "pixels"
     subject = "a piece of tissue touches" if loose == 1 else f"{loose} pieces of tissue touch"
-    return f"{subject} no boundary ({pixels} {sites}): the motion there is not determined"
+    return Note(
+        f"{subject} no boundary ({pixels} {sites}): the motion there is not determined",
+        short=f"{subject} no boundary",
+    )

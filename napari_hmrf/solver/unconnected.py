@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from napari_hmrf.notes import Note
 from napari_hmrf.solver.followers import followers_of
 from napari_hmrf.solver.rigid_modes import HeldTissue, free_pieces
 
@@ -120,4 +121,7 @@ def left_at_rest(scrap: npt.NDArray[np.bool_]) -> str:
     pieces = "1 piece" if count == 1 else f"{count} pieces"
     size = "1 pixel" if pixels == 1 else f"{pixels} pixels"
     verb = "stays at rest" if count == 1 else "stay at rest"
-    return f"{pieces} of tissue with too few constraints {verb} ({size})"
+    return Note(
+        f"{pieces} of tissue with too few constraints {verb} ({size})",
+        short=f"{pieces} of tissue {verb}",
+    )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, reduce
@@ -16,12 +15,13 @@ import numpy.typing as npt
 from napari_hmrf.arguments import require_kind
 from napari_hmrf.errors import ArgumentError, LayerError, ProblemError
 from napari_hmrf.field.resample import unknown_values
+from napari_hmrf.notes import Note
 from napari_hmrf.solver.body_forces import weight
 from napari_hmrf.solver.caveats import caveats, missing_constraint
 from napari_hmrf.solver.data_term import combined_data
 from napari_hmrf.solver.drift import drift_clauses
 from napari_hmrf.solver.loads import Loads
-from napari_hmrf.solver.optimizers import Multigrid, Optimizer
+from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import Elastic, ElasticPrior, Prior
 from napari_hmrf.solver.problem import FloatArray, Problem, as_stiffness, check_reach
 from napari_hmrf.solver.real_arrays import first_index, how_many
@@ -41,6 +41,7 @@ from napari_hmrf.study.landmark_data import (
 )
 from napari_hmrf.study.shortcomings import shortcomings
 from napari_hmrf.study.study import Study
+from napari_hmrf.study.support import refuse_unsupported
 from napari_hmrf.study.without_effect import (
     asks_motion,
     marks_without_effect,
@@ -67,9 +68,10 @@ from napari_hmrf.tissue.surroundings import air_that_is_tissue, dark_border
 #: are too soft to impede motion, but because they are tissue, they still constrain the subject.
 _TISSUE, _SURROUNDINGS = 1.0, 0.01
 
-_OVER = (
+_OVER = Note(
     "the drawing moves tissue that is painted as held, and takes precedence at overlaps; "
-    "make the drawing smaller, or move it farther away"
+    "make the drawing smaller, or move it farther away",
+    short="the drawing moves held tissue",
 )
 
 _NOTHING_ACTS = (
@@ -77,17 +79,10 @@ _NOTHING_ACTS = (
     "the cavity (`weight=..., cavity=...`)"
 )
 
-#: What each part of a study with growth or forces has; see `Study.loaded_parts`.
-_LOADS = {
-    "tissue": "has growth",
-    "boundary": "has forces",
-    "weight": "is a force",
-    "cavity": "has forces",
-}
-
-_NO_UNIT = (
+_NO_UNIT = Note(
     "forces are in the unit of stiffness, which is not known here: a pressure of 0.1 strains "
-    "tissue of stiffness 1 by about a tenth"
+    "tissue of stiffness 1 by about a tenth",
+    short="the unit of the forces is unknown",
 )
 
 
@@ -179,7 +174,7 @@ class Ground:
         _refuse_other_axes(study)
         _refuse_thin(study)
         require_memory(study.grid.shape, STUDY, study.named("image", "tissue"))
-        refuse_unknown(study)
+        refuse_unsupported(study)
         image = study.pictures.image
         if image is not None and image.dtype.kind == "f" and not np.isfinite(image).any():
             here = "is NaN everywhere in this slice. Choose another image or slice."
@@ -237,9 +232,9 @@ class Ground:
         if removed is not None:
             m = np.where(removed, np.float32(0), m)
             self._check_remaining(m, canvas)
+        slides = bool(canvas.slides.any())
+        refuse_unsupported(self.study, drawing=drawing, labels=canvas.labels, slides=slides)
         marks = uncertain_landmarks(drawing)
-        if marks and not isinstance(prior, ElasticPrior):
-            raise _no_landmark_data(self.study, len(marks))
         points, near = points_in_tissue(marks, m > 0)
         marks, points = tuple(compress(marks, near)), points[near]
         if isinstance(prior, Elastic):
@@ -253,12 +248,9 @@ class Ground:
                 m = np.where(at_rest, np.float32(0), m)
         with self.study.naming():
             loads, spacing = self._loads(canvas.labels, m, removed), self.study.grid.spacing
-            refuse_sliding(self.study, canvas.slides)
-            refuse_sliding_tissue(self.study, canvas.labels)
             y, precision = sliding_data(canvas.observed, canvas.slides, m, spacing)
             motion = self.study.motion
             if motion.measured is not None:
-                refuse_measurement(self.study)
                 own = self.typical_stiffness * motion.measured.precision
                 y, precision = combined_data(
                     (y, precision), (motion.measured.displacement, own), canvas.confidence > 0
@@ -434,141 +426,6 @@ class Ground:
         return f"{pixels} also held or moved, which has no effect"
 
 
-def _no_landmark_data(study: Study, count: int) -> LayerError:
-    """Return an error for landmarks with a standard deviation in a model without a data term."""
-    pairs = "a landmark" if count == 1 else f"{count} landmarks"
-    return LayerError(
-        study.named("drawing"),
-        f"has {pairs} with an uncertainty (±), for the elastic model only. Use this "
-        "model (`model='elastic'`), or set ± to 0 (`sd=0`).",
-    )
-
-
-def has_data(study: Study) -> bool:
-    """Return whether a study has data, which the model of large motion does not support.
-
-    Data are surfaces along which tissue slides, landmarks with a standard deviation, and measured
-    motion.
-    """
-    motion = study.motion
-    return study.slides or bool(uncertain_landmarks(motion.drawing)) or motion.measured is not None
-
-
-def refuse_measurement(study: Study) -> None:
-    """Raise an error if the model of a study does not support measured motion.
-
-    Raises
-    ------
-    ProblemError
-        If the model is not the elastic model.
-    """
-    if not isinstance(study.prior, ElasticPrior):
-        raise ProblemError(
-            "registration",
-            f"is not supported by the model '{study.model_name}'. Use the elastic model "
-            "(`model='elastic'`), or undo the registration (`measured=None`).",
-        )
-
-
-def refuse_sliding_parts(study: Study, problem: Problem, purpose: str) -> None:
-    """Raise an error if tissue of a study slides along other tissue.
-
-    Parameters
-    ----------
-    study : Study
-    problem : Problem
-        Problem of the study.
-    purpose : str
-        Result that needs connected tissue, as the subject of the message.
-
-    Raises
-    ------
-    LayerError
-        If the problem has sliding parts.
-    """
-    if problem.sliding is not None:
-        raise LayerError(
-            study.named("tissue", "image"),
-            f"has tissue that slides along other tissue, for which {purpose} is not available. Let "
-            "no tissue slide (`slides=False`).",
-        )
-
-
-def refuse_sliding(study: Study, slides: npt.NDArray[np.bool_] | bool) -> None:
-    """Raise an error if tissue slides, and the model does not support it.
-
-    Raises
-    ------
-    ProblemError
-        If `slides` is true anywhere, and the model is not the elastic model.
-    """
-    by_label = (rule.action == "slide" for rule in study.motion.rules)
-    if not isinstance(study.prior, ElasticPrior) and np.any(slides):
-        raise ProblemError(
-            study.named("boundary" if any(by_label) else "drawing"),
-            f"has tissue that slides, which the model '{study.model_name}' does not support. Use "
-            "the elastic model (`model='elastic'`), or remove the sliding surface.",
-        )
-
-
-def refuse_sliding_tissue(study: Study, labels: npt.NDArray[Any]) -> None:
-    """Raise an error if tissue slides along other tissue, and the model does not support it.
-
-    Raises
-    ------
-    ProblemError
-        If a label in `labels` slides, and the model is not the elastic model.
-    """
-    if isinstance(study.prior, ElasticPrior) and isinstance(study.optimizer, Multigrid):
-        return
-    rows = [row for row in study.tissue.materials if row.slides and row.stiffness > 0]
-    names = [f"'{row.name or row.label}'" for row in rows if (labels == row.label).any()]
-    if names:
-        raise LayerError(
-            study.named("tissue", "image"),
-            f"has tissue that slides along other tissue ({' and '.join(names)}), which the model "
-            f"'{study.model_name}' does not support. Use the elastic model (`model='elastic'`), or "
-            "let no tissue slide (`slides=False`).",
-        )
-
-
-def refuse_unknown(study: Study) -> None:
-    """Raise an error for rigid tissue, loads or surfaces that the prior does not support.
-
-    Raises
-    ------
-    ProblemError
-        If the study has rigid tissue, growth, forces or sliding surfaces that are not supported;
-        the error names the part that has them and suggests a remedy.
-    """
-    prior, tissue = study.prior, study.tissue
-    if not isinstance(prior, ElasticPrior):
-        refuse_sliding(study, study.slides)
-    if tissue.labels is not None:
-        refuse_sliding_tissue(study, tissue.labels)
-    if study.bears_loads and not isinstance(prior, Elastic):
-        part = study.loaded_parts[0]
-        raise LayerError(
-            study.named("tissue", "image") if part == "tissue" else study.named(part),
-            f"{_LOADS[part]}, which the paper's model does not support. Use the elastic model "
-            "(`model='elastic'`), or a boundary that moves or expands.",
-        )
-    if isinstance(prior, Elastic) and prior.penalty in (None, math.inf):
-        return
-    labels, rigid = tissue.labels, [row for row in tissue.materials if row.is_rigid]
-    painted = [row for row in rigid if labels is not None and row.label in labels]
-    names = [f"'{row.name or row.label}'" for row in painted]
-    if tissue.stiffness is not None and (tissue.stiffness == np.inf).any():
-        names = ["an infinite stiffness"]
-    if names:
-        raise LayerError(
-            study.named("tissue", "image"),
-            f"has rigid tissue ({' and '.join(names)}), which is not supported by the paper's "
-            "model or by a model with boundaries that may slip. Use the elastic model that holds "
-            "by confidence (`penalty=None`), or use a finite stiffness.",
-        )
-
-
 def build_problem(study: Study) -> Statement:
     """Convert a study to a problem, with its prior and optimizer.
 
@@ -735,8 +592,11 @@ def _tissue_of(study: Study) -> Ground:
         missing = [] if known else unlisted(tissue.labels, known)
         new = [default_material(label, known) for label in missing]
         notes += [
-            f"label {row.label} of '{name}' is not in the table: stiffness {row.stiffness:g} is "
-            "assumed"
+            Note(
+                f"label {row.label} of '{name}' is not in the table: stiffness {row.stiffness:g} "
+                "is assumed",
+                short=f"label {row.label} is not in the table",
+            )
             for row in new
         ]
         labels, rows = tissue.labels.astype(np.int32), (*known, *new)

@@ -8,6 +8,7 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.notes import Note
 from napari_hmrf.solver.neighbours import in_elements
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.uncertain_landmarks import (
@@ -29,7 +30,8 @@ FloatArray = npt.NDArray[np.float32]
 #: tissue.
 NEAR = 1.0
 #: Beginning of the note that a held edge hinders a drift.
-HELD_EDGE = "most of the outer edge of the tissue is held in place"
+#: Kind of the note about a held edge that hinders the drift.
+HELD_EDGE = "held edge"
 # Share of the outer edge above which held tissue hinders a drift.
 _HELD_SHARE = 0.5
 # Factor that keeps a clipped standard deviation within the range after rounding.
@@ -117,10 +119,12 @@ def landmark_caveats(motion: Motion, problem: Problem) -> Iterator[str]:
     if far:
         away, mark = max(far, key=lambda each: each[0])
         at = ", ".join(f"{part:.4g}" for part in mark.source)
-        subject = "the target of a landmark is" if len(far) == 1 else f"{len(far)} targets are"
-        yield (
+        is_one = len(far) == 1
+        subject = "the target of a landmark is" if is_one else f"{len(far)} targets are"
+        yield Note(
             f"{subject} outside the image, by up to {away:.3g} (landmark at ({at})): check the "
-            "target, or remove the landmark"
+            "target, or remove the landmark",
+            short=f"{'a target is' if is_one else subject} outside the image",
         )
     if problem.landmarks is None or not problem.landmarks.drift:
         return
@@ -128,9 +132,12 @@ def landmark_caveats(motion: Motion, problem: Problem) -> Iterator[str]:
     still = (problem.known & (problem.observed == 0)).all(axis=-1)
     if rim.any() and still[rim].mean() > _HELD_SHARE:
         setting = " (`hold_edge=False`)" if motion.hold_edge else ""
-        yield (
-            f"{HELD_EDGE}, so that the drift can hardly stretch or shrink the tissue: if the "
-            f"landmarks should move it, release the edge{setting}"
+        yield Note(
+            "most of the outer edge of the tissue is held in place, so that the drift can hardly "
+            "stretch or shrink the tissue: if the landmarks should move it, release the edge"
+            f"{setting}",
+            short="the held edge hinders the drift",
+            kind=HELD_EDGE,
         )
 
 

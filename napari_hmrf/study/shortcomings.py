@@ -5,9 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from napari_hmrf.field.units import unit_symbol
+from napari_hmrf.notes import Note
 from napari_hmrf.solver.caveats import shortfall, touching
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
+
+#: Kind of the note about folds.
+FOLDS = "folds"
 
 
 def shortcomings(
@@ -31,7 +35,10 @@ def shortcomings(
     """
     if folds:
         sites = "voxels" if solution.tissue.ndim == 3 else "pixels"
-        yield f"the tissue folds over itself at {folds} {sites}, which is impossible: move it less"
+        yield Note(
+            f"the tissue folds over itself at {folds} {sites}, which is impossible: move it less",
+            kind=FOLDS,
+        )
     # `unit_symbol` imports pint, which is slow, so call it for large motion only.
     short = shortfall(solution.reach, unit_symbol(unit)) if solution.reach is not None else ""
     has_stopped = solution.reach is not None and solution.reach.stopped

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.notes import Note
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.study.landmark_data import points_in_tissue
 from napari_hmrf.study.study import Study
@@ -74,12 +75,17 @@ def marks_without_effect(
     for (kind, where), places in idle.items():
         *others, last = ("(" + ", ".join(f"{at:.4g}" for at in place) + ")" for place in places)
         if not others:
-            yield f"the {kind} at {last} is {where} and has no effect"
+            yield Note(
+                f"the {kind} at {last} is {where} and has no effect", f"the {kind} has no effect"
+            )
             continue
         listed = f"at {', '.join(others)} and {last}"
         if len(places) > _LISTED:
             listed = f"the first at {others[0]}"
-        yield f"{len(places)} {kind}s are {where} and have no effect, {listed}"
+        yield Note(
+            f"{len(places)} {kind}s are {where} and have no effect, {listed}",
+            f"{len(places)} {kind}s have no effect",
+        )
 
 
 def lacks_motion(drawing: Drawing, number: int, base: Canvas) -> bool:

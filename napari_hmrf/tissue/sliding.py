@@ -18,6 +18,7 @@ import scipy
 
 from napari_hmrf.arguments import real, shown
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.notes import Note
 from napari_hmrf.solver.neighbours import sites_of_elements
 from napari_hmrf.solver.precision import MAX_PRECISION
 from napari_hmrf.solver.problem import as_stiffness, checked_spacing
@@ -52,8 +53,12 @@ _SHARE = 0.15
 _FRAMES, _WEIGHTINGS = 3, 3
 # Number of sites that are fitted together, to limit the memory.
 _TOGETHER = 2048
-#: Beginning of the clause about a sliding surface inside tissue.
-_INSIDE = "there is tissue on both sides of a sliding surface"
+_INSIDE = Note(
+    "there is tissue on both sides of a sliding surface: the surface keeps its place, and the two "
+    "sides do not slip past each other. To let tissue slide along the surface, give the other side "
+    "the stiffness 0",
+    short="a sliding surface in tissue keeps its place",
+)
 
 
 class SlidingSurface(NamedTuple):
@@ -290,10 +295,7 @@ def inner_surface(
     """
     if not slides.any() or _data_of(slides, stiffness, spacing).surface.is_outer.all():
         return ""
-    return (
-        f"{_INSIDE}: the surface keeps its place, and the two sides do not slip past each other. "
-        "To let tissue slide along the surface, give the other side the stiffness 0"
-    )
+    return _INSIDE
 
 
 def is_inner(paint: Mask, tissue: Mask, whole: list[tuple[bool, bool]]) -> bool:

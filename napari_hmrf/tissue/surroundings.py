@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.notes import Note
 from napari_hmrf.tissue.normals import outside_of
 
 # Smallest difference between the means of two kinds of dark surroundings, relative to the contrast
@@ -156,7 +157,8 @@ def air_that_is_tissue(picture: npt.NDArray[Any], tissue: npt.NDArray[np.bool_])
     dark = dark_border(picture, tissue.ndim)
     if not dark.any() or 2 * np.count_nonzero(dark & tissue) < np.count_nonzero(dark):
         return ""
-    return (
+    return Note(
         "the dark surroundings of the image move like tissue: if they are air, exclude them from "
-        "the tissue (`without_border=True`)"
+        "the tissue (`without_border=True`)",
+        short="dark surroundings move like tissue",
     )

@@ -24,9 +24,9 @@ from napari_hmrf.layers.slice_view import plane_shown
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.study.drag_preview import as_dragged, drag_preview
 from napari_hmrf.study.engine import Deformation
-from napari_hmrf.study.ground import refuse_unknown
 from napari_hmrf.study.study import Study
 from napari_hmrf.study.study_model import StudyModel
+from napari_hmrf.study.support import refuse_unsupported
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.curve.curve_layer import CurveLayer
 from napari_hmrf.ui.dock_form import DockForm
@@ -314,7 +314,7 @@ class Controller:
         if not (unpainted or request.drawing.marks or request.boundary is None):
             request = replace(request, drawing=None)  # gives a specific error message
         study = self.reader.read(request)
-        refuse_unknown(study)
+        refuse_unsupported(study)
         self._select_slice(study, request.layers[0])
         return replace(study, motion=replace(study.motion, drawing=self._model.drawing))
 

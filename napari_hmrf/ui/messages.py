@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,6 +11,7 @@ from napari_hmrf.field.deformation import magnitude
 from napari_hmrf.field.units import as_seen, unit_symbol
 from napari_hmrf.layers.complete_result import CompleteResult
 from napari_hmrf.layers.result_layers import Outputs
+from napari_hmrf.notes import kind_of, short_of
 from napari_hmrf.solver import live_solver
 from napari_hmrf.solver.caveats import LOOSE
 from napari_hmrf.solver.drift import drift_clauses
@@ -20,8 +20,9 @@ from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.optimizers.base import Reach
 from napari_hmrf.solver.priors.elastic import Plane
 from napari_hmrf.solver.staged_progress import COMPILING
-from napari_hmrf.study.ground import has_data
 from napari_hmrf.study.landmark_data import uncertain_landmarks
+from napari_hmrf.study.models import parts_of
+from napari_hmrf.study.support import unsupported
 from napari_hmrf.wording import in_words_of
 
 WELCOME = "Open an image first (File > Open), or a sample (File > Open Sample)."
@@ -112,26 +113,6 @@ _UNSURE_FOLDS = (
     "A landmark with an uncertainty (±) moves a single point: with a larger ±, tissue folds less; "
     "at ± 0, a patch moves as a whole."
 )
-#: Patterns of long notes, and their labels on the chip, which fit in a dock of usual width.
-_LABELS = (
-    ("there is tissue on both sides of a sliding", "A sliding surface in tissue keeps its place"),
-    ("most of the outer edge", "The held edge hinders the drift"),
-    (r"the target of a landmark is", "A target is outside the image"),
-    (r"(\d+ targets are outside the image)", r"\1"),
-    ("the dark surroundings of the image move", "Dark surroundings move like tissue"),
-    ("the drawing moves tissue that is painted as held", "The drawing moves held tissue"),
-    ("forces are in the unit of stiffness", "The unit of the forces is unknown"),
-    ("most of the boundary is so thin", "The boundary is too thin"),
-    (r"at .*, tissue that is held or moved in two", "Held and moved tissue touch"),
-    ("tissue could not move all the way", "Some tissue stays short of its target"),
-    ("the solve stopped before", "Tissue is not fully there yet"),
-    (r"\d+ boundary pixels? \w+ held exactly", "Uncertain tissue is held exactly"),
-    (r"(label \d+) of .* is not in the table", r"\1 is not in the table"),
-    (r"(the \w+) at .* has no effect", r"\1 has no effect"),
-    (r"(\d+ \w+s) are .* have no effect", r"\1 have no effect"),
-    (r"(\d+ pieces? of tissue) with .* (stays?) at rest", r"\1 \2 at rest"),
-    (r"(.+ of tissue touch(es)? no boundary) \(", r"\1"),
-)
 #: Message after the view has moved to another slice of a volume.
 MOST = "The view has moved to the slice with the most such voxels: {}."
 #: Largest number of marked sites that counts as rounding noise and causes no warning.
@@ -173,15 +154,14 @@ def warnings_of(done: CompleteResult, overlay: str) -> tuple[str, str]:
         return " ".join(parts), f"{counts[mark]} {mark}: show"
     if overlay in counts:
         return " ".join(parts), f"Hide the {overlay}"
-    return " ".join(parts), _issue(done.notes[0]) if done.notes else ""
+    return " ".join(parts), _label(short_of(done.notes[0])) if done.notes else ""
 
 
 def can_unfold(done: CompleteResult) -> bool:
     """Return whether the tissue folds and the large-motion model would avoid the folds."""
     study = done.moved.study
-    only_elastic = has_data(study) or done.outputs.solution.parts is not None
-    is_elastic = study.model_name == "elastic" and not only_elastic
-    return is_elastic and "folds" in marks_of(done.outputs)
+    is_folded = study.model_name == "elastic" and "folds" in marks_of(done.outputs)
+    return is_folded and unsupported(study, parts_of("large motion")) is None
 
 
 def has_stopped(done: CompleteResult) -> bool:
@@ -197,21 +177,16 @@ def marks_of(outputs: Outputs) -> dict[Mark, int]:
 
 def unheld_warning(notes: Sequence[str]) -> str:
     """Return the note about unconstrained tissue as a sentence, or ""."""
-    return next((_sentence(note) for note in notes if note.startswith(LOOSE)), "")
+    return next((_sentence(note) for note in notes if kind_of(note) == LOOSE), "")
 
 
 def _sentence(clause: str) -> str:
-    sentence = in_words_of("window", clause)
-    return f"{sentence[0].upper()}{sentence[1:]}."
+    return f"{_label(clause)}."
 
 
-def _issue(clause: str) -> str:
-    """Return a short label of a note, or its first part, up to a mark that is not in a position."""
-    for pattern, label in _LABELS:
-        if (found := re.match(pattern, clause)) is not None:
-            short = found.expand(label)
-            return f"{short[0].upper()}{short[1:]}"
-    return re.split(r"[:;,](?![^(]*\))", _sentence(clause))[0].rstrip(".")
+def _label(clause: str) -> str:
+    words = in_words_of("window", clause)
+    return f"{words[0].upper()}{words[1:]}"
 
 
 def next_mark(outputs: Outputs, overlay: str) -> Mark | None:

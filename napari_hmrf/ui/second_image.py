@@ -19,6 +19,7 @@ from napari_hmrf.layers.landmarks import landmark_pairs
 from napari_hmrf.layers.result_layers import PlacedSolution
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_layers import shared
+from napari_hmrf.notes import kind_of
 from napari_hmrf.solver.drift import drift_clauses
 from napari_hmrf.study.landmark_data import HELD_EDGE
 from napari_hmrf.study.study_model import StudyModel
@@ -202,7 +203,7 @@ class SecondImage:
             subject = f"{subject} in the last result, before the refused edit"
         clauses = [f"{subject}: {apart}", *drift_clauses(solution)]
         latest = self._controller.latest
-        if latest is not None and any(note.startswith(HELD_EDGE) for note in latest.notes):
+        if latest is not None and any(kind_of(note) == HELD_EDGE for note in latest.notes):
             clauses.append(_HINDERED)
         return "; ".join(clauses)
 

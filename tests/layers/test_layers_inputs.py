@@ -260,32 +260,6 @@ def test_rigid_tissue_is_infinitely_stiff_in_the_elastic_problem(made):
     assert np.isinf(m).sum() == 9
 
 
-@pytest.mark.parametrize(
-    ("made", "said"),
-    [
-        (lambda: None, "'Tissue' has rigid tissue ('bone'), which"),
-        (stiffness_with_bone, "'stiffness' has rigid tissue (an infinite stiffness), which"),
-    ],
-    ids=["labels", "image"],
-)
-def test_the_paper_model_refuses_rigid_tissue_with_a_hint(made, said):
-    error = refusal(with_bone(made()))
-    assert str(error) == (
-        f"{said} is not supported by the paper's model or by a model with boundaries that may "
-        "slip. Use the elastic model that holds by confidence (`penalty=None`), or use a finite "
-        "stiffness."
-    )
-
-
-def test_the_paper_model_accepts_an_unpainted_rigid_row():
-    assert read_layers(replace(request(), materials=BONE)).problem.stiffness.max() == 20
-
-
-def test_a_slipping_boundary_is_refused_with_rigid_tissue():
-    with pytest.raises(ProblemError, match=r"that holds by confidence \(`penalty=None`\)"):
-        read_layers(with_bone(), ElasticPrior(penalty=1.0))
-
-
 def test_a_stiffness_beyond_single_precision_is_refused_with_its_largest_value():
     m = np.full(SHAPE, 1e39)
     error = refusal(request(tissue=Image(m, name="stiffness", contrast_limits=(0, 1))))

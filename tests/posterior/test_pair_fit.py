@@ -173,7 +173,7 @@ def test_a_factor_on_the_forces_of_a_study_is_found_from_its_landmarks():
     [
         ({"tissue": Tissue()}, "has no labels"),
         ({"motion": Motion(hold_edge=True)}, "second image: is missing"),
-        ({"model": "paper, converged"}, "which a fit does not support"),
+        ({"model": "paper, converged"}, "model: is 'paper, converged'"),
     ],
 )
 def test_a_study_that_cannot_be_fitted_is_refused(change, reason):

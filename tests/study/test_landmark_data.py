@@ -122,17 +122,6 @@ def test_a_dark_border_does_not_weaken_landmarks():
     assert build_problem(dark).problem.landmarks.scale.stiffness == 1.0
 
 
-@pytest.mark.parametrize("model", ["large motion", "paper", "paper, converged"])
-def test_other_models_refuse_landmarks_with_a_standard_deviation(model):
-    exact = replace(MARK, sd=0)
-    with pytest.raises(ProblemError) as refusal:
-        build_problem(a_study(MARK, exact, model=model))
-    assert "'drawing' has a landmark with an uncertainty (±), for the" in str(refusal.value)
-    shown = in_words_of("window", str(refusal.value))
-    assert shown.endswith("Use this model, or set ± to 0.")
-    build_problem(a_study(exact, model=model))
-
-
 def test_an_edited_landmark_is_solved_live_as_from_a_cold_start(qtbot):
     found = []
     engine = Engine(found.append, "a test")

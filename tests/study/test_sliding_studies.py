@@ -82,14 +82,6 @@ def test_later_strokes_hold_or_release_a_surface_that_slides():
     assert build_problem(disc(replace(SLIDE, action="pin"), SLIDE, *TURN)).problem.known.sum() < 200
 
 
-@pytest.mark.parametrize("model", ["paper", "large motion"])
-@pytest.mark.parametrize("study", [{"rule": BoundaryRule(1, "slide")}, {}])
-def test_models_that_cannot_slide_say_so_before_any_work(model, study):
-    marks = TURN if study else (SLIDE, *TURN)
-    with pytest.raises(ProblemError, match=f"slides, which the model '{model}' does not support"):
-        build_problem(disc(*marks, model=model, **study))
-
-
 def test_a_line_inside_tissue_slides_but_has_no_outside_to_be_shifted_to():
     line = Stroke("slide", (((30, 20), (30, 40)),), 1.0)
     hold = Stroke("pin", (((10, 30),),), 3)

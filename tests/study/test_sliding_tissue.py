@@ -110,8 +110,6 @@ UNSURE = Motion(hold_edge=True, drawing=Drawing((Landmark((31, 31), (33, 31), 1.
 @pytest.mark.parametrize(
     ("study", "reason"),
     [
-        (chest(model="paper"), "'lung'.*model 'paper' does not support.*slides=False"),
-        (chest(model="large motion"), "'lung'.*model 'large motion' does not support"),
         (chest(muscle=Material(1, "bone", np.inf)), "with rigid tissue"),
         (replace(chest(), motion=SOFT), "confidence between 0 and 1"),
         (replace(chest(), motion=UNSURE), "with landmarks with an uncertainty"),

@@ -224,7 +224,7 @@ def test_a_painted_boundary_slides_and_large_motion_says_that_it_cannot(
     assert raised[-1, 20, 0] == pytest.approx(-2, abs=0.05)
     dock.model = "large motion"
     wait_for(lambda: not dock.busy)
-    assert "Lid: has tissue that slides" in dock.status
+    assert "'Lid' has tissue that slides" in dock.status
 
 
 def test_large_motion_is_not_offered_for_folds_of_tissue_that_slides(dock, viewer, do_and_wait):

@@ -7,6 +7,7 @@ import pytest
 
 from napari_hmrf.layers.complete_result import CompleteResult
 from napari_hmrf.layers.result_layers import Outputs
+from napari_hmrf.notes import Note
 from napari_hmrf.study.measured_motion import MeasuredMotion
 from napari_hmrf.study.study import Grid, Motion, Study
 from napari_hmrf.ui.messages import can_unfold, marks_of, warnings_of
@@ -24,14 +25,7 @@ def test_a_few_folded_pixels_cause_no_warning_and_more_do(folds, marks):
             "nothing holds the tissue, so that all of it gives way: hold its edge",
             "Nothing holds the tissue",
         ),
-        (
-            "label 3 of 'Tissue' is not in the table: stiffness 1 is assumed",
-            "Label 3 is not in the table",
-        ),
-        (
-            "2 pieces of tissue with too few constraints stay at rest (9 pixels)",
-            "2 pieces of tissue stay at rest",
-        ),
+        (Note("label 3 of 'Tissue' is unknown", short="label 3 is unknown"), "Label 3 is unknown"),
     ],
 )
 def test_the_label_of_a_warning_without_folds_names_the_issue_in_a_few_words(note, label):

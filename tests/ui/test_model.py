@@ -121,7 +121,7 @@ def test_only_settings_of_the_chosen_model_are_shown(widget, small_sample):
     assert form.poisson.native.isHidden()
 
 
-RIGID = "'Tissue' has rigid tissue ('gel'), which is not supported by the paper's model"
+RIGID = "'Tissue' has rigid tissue ('gel'), which the model 'paper' does not support"
 
 
 def make_rigid(widget):

@@ -81,7 +81,7 @@ def test_other_models_refuse_an_uncertain_landmark_with_a_message(pulling_beside
     dock.fields.sd.value = 0.5
     touch.drag((30, 30), (32, 30))
     settle(dock)
-    assert "has a landmark with an uncertainty (±), for the elastic model only." in dock.status
+    assert "has a landmark with an uncertainty (±), which the model 'large motion'" in dock.status
     dock.model = "elastic"
     settle(dock)
     assert dock.solution is not None
