@@ -7,22 +7,20 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from psygnal import Signal
-
 from napari_hmrf.posterior.fit import Fit
 from napari_hmrf.posterior.study_fit import StudyFit, fit_study
 from napari_hmrf.registration.study_registration import SecondPicture
 from napari_hmrf.study.study import Study
 from napari_hmrf.study.study_model import Part, StudyModel
+from napari_hmrf.study.support import supports
 from napari_hmrf.tissue.boundary_rules import Material
-from napari_hmrf.ui.background_jobs import BackgroundJobs
 from napari_hmrf.ui.controller import Controller
 from napari_hmrf.ui.events import EventConnections
 from napari_hmrf.ui.fit_window import NOTHING, FitWindow
-from napari_hmrf.ui.registering import read_pair
+from napari_hmrf.ui.pair_job import JobWords, PairJob
 from napari_hmrf.ui.registration_form import RegistrationForm
 
-_JOB = "fit"
+_WORDS = JobWords("Fitting", "The fit was cancelled; nothing was changed.", "Nothing was fitted.")
 _INVALID = "Nothing was fitted, because the study is invalid; the dock shows the reason."
 #: Message after a fit of a registered slice.
 _UNREGISTERED = "The registration was removed; Undo restores it."
@@ -40,20 +38,16 @@ class Fitting:
         Model with the tissue table, which receives the fitted values.
     """
 
-    #: Emitted with a message about the fit.
-    message = Signal(str)
-
     def __init__(self, controller: Controller, model: StudyModel) -> None:
         self._controller, self._model = controller, model
         self._form: RegistrationForm = controller.form.result.registration
-        self._jobs = BackgroundJobs(self._refuse)
-        self._cancel = threading.Event()
+        #: Job that fits the tissues.
+        self.job = PairJob(controller, _WORDS, self._show_outcome)
         self._window: FitWindow | None = None
         self._ticked: dict[str, set[int]] = {}
         # Latest fit, and the tissue table that it made.
         self._found: tuple[Fit, object] | None = None
         self._form.fit.changed.connect(self.open)
-        controller.form.footer.cancel.changed.connect(self.cancel)
         self._connections = EventConnections(
             (model.changed, self._on_changed),
             (controller.slice_changed, self._refresh),
@@ -61,16 +55,11 @@ class Fitting:
         )
         self._refresh()
 
-    @property
-    def busy(self) -> bool:
-        """True while a fit is running."""
-        return self._jobs.busy()
-
     def open(self, *_: Any) -> None:
         """Open the window in which the user ticks the unknown properties."""
         if self._window is None:
             native = self._controller.form.result.registration.native
-            self._window = FitWindow(native.window(), self.start, self.cancel)
+            self._window = FitWindow(native.window(), self.start, self.job.cancel)
             self._ticked = {"growth": {row.label for row in self._rows if row.grows}}
         self._window.show_outcome("")
         if not self._window.isVisible():
@@ -81,36 +70,24 @@ class Fitting:
     def start(self) -> None:
         """Fit the ticked properties in the background."""
         window = self._window
-        if window is None or self.busy:
+        if window is None or self.job.busy:
             return
         self._ticked = window.ticked
         if not any(self._ticked.values()):
             window.show_outcome(NOTHING)
             return
-        pair = read_pair(self._controller)
+        pair = self.job.read_pair()
         if pair is None:
             window.show_outcome(_INVALID)
             return
-        self._cancel = threading.Event()
-        work = partial(self._run, *pair, self._ticked, self._cancel)
-        self._controller.engine.cancel()
         finish = partial(self._finish, self._part, self._model.measured_part)
-        self._jobs.submit(_JOB, work, finish)
-        self._controller.progress.start("Fitting", at_once=True)
+        self.job.start(partial(self._run, *pair, self._ticked), finish)
         window.show_outcome("Fitting ...")
         self._refresh()
 
-    def cancel(self, *_: Any) -> None:
-        """Stop the fit; nothing is changed."""
-        if self.busy:
-            self._cancel.set()
-            self._jobs.cancel()
-            self._end("The fit was cancelled; nothing was changed.")
-
     def release(self) -> None:
         """Stop all work, close the window, and disconnect from all events."""
-        self._cancel.set()
-        self._jobs.release()
+        self.job.release()
         self._connections.release()
         if self._window is not None:
             self._window.close()
@@ -149,7 +126,7 @@ class Fitting:
         """Write the fitted values into the tissue table, as one step."""
         table = self._model.get(part)
         if table is None:  # the layer was removed
-            self._end("")
+            self.job.end("")
             return
         fitted = {row.label: row for row in found.study.tissue.materials}
         rows = []
@@ -170,20 +147,13 @@ class Fitting:
         if was_registered:
             parts.append(_UNREGISTERED)
         self._controller.follow_edit()
-        self._end(" ".join(parts))
+        self.job.end(" ".join(parts))
 
-    def _refuse(self, sentence: str) -> None:
-        self._end(f"Nothing was fitted. {sentence}")
-
-    def _end(self, text: str) -> None:
+    def _show_outcome(self, text: str) -> None:
         """Show that no fit is running, and its outcome."""
-        self._controller.progress.stop()
         if self._window is not None:
             self._window.show_outcome(text)
         self._refresh()
-        self._controller.show_again()
-        if text:
-            self.message.emit(text)
 
     def _on_changed(self, part: Part, *_: Any) -> None:
         """Refresh after an edit that a fit depends on; a drag changes only the drawing."""
@@ -197,13 +167,13 @@ class Fitting:
         self._form.show_fit(
             has_second=second is not None,
             has_tissues=bool(rows),
-            is_elastic=self._model.model.name in ("elastic", "large motion"),
+            is_elastic=supports(self._model.model.name, "fit"),
         )
         if self._window is not None and self._window.isVisible():
             self._show_window(self._window, self._window.ticked)
 
     def _show_window(self, window: FitWindow, ticked: dict[str, set[int]]) -> None:
         """Show the current tissues in the window, and whether a fit is running."""
-        window.show_busy(self.busy)
+        window.show_busy(self.job.busy)
         is_fitted = self._found is not None and self._found[1] == self._model.get(self._part)
         window.show_rows(self._rows, ticked, self._found[0] if self._found and is_fitted else None)

@@ -7,11 +7,10 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from psygnal import Signal
 
 from napari_hmrf.field.resample import on_finer_grid
 from napari_hmrf.layers.painted_overlay import ShownDeformation
-from napari_hmrf.layers.second_picture import align_layer, second_picture
+from napari_hmrf.layers.second_picture import align_layer
 from napari_hmrf.registration.alignment import Kind
 from napari_hmrf.registration.matching import Step
 from napari_hmrf.registration.study_registration import (
@@ -25,13 +24,18 @@ from napari_hmrf.study.engine import Deformation
 from napari_hmrf.study.measured_motion import MeasuredMotion
 from napari_hmrf.study.study import Study
 from napari_hmrf.study.study_model import Part, StudyModel
-from napari_hmrf.ui.background_jobs import BackgroundJobs
+from napari_hmrf.study.support import supports
 from napari_hmrf.ui.controller import Controller
 from napari_hmrf.ui.events import EventConnections
 from napari_hmrf.ui.gui_thread import GuiThread
+from napari_hmrf.ui.pair_job import JobWords, PairJob
 from napari_hmrf.ui.registration_form import RegistrationForm
 
-_JOB = "registration"
+_WORDS = JobWords(
+    "Registering",
+    "The registration was cancelled; nothing was changed.",
+    "The images were not registered.",
+)
 #: Message after a registration of a study whose edge was fixed.
 _EDGE = (
     "The outer edge is no longer fixed, because the images show how it moves. To fix it, tick 'Fix "
@@ -54,20 +58,14 @@ class Registering:
         Model that receives the measured motion.
     """
 
-    #: Emitted with a message about the registration.
-    message = Signal(str)
-
     def __init__(self, controller: Controller, model: StudyModel) -> None:
         self._controller, self._model = controller, model
         self._form: RegistrationForm = controller.form.result.registration
-        self._jobs = BackgroundJobs(self._refuse)
+        #: Job that registers the images.
+        self.job = PairJob(controller, _WORDS, self._show)
         self._gui = GuiThread()
-        # Flag that cancels the current job.
-        self._cancel = threading.Event()
-        footer = controller.form.footer
         self._form.register.changed.connect(self._start)
         self._form.remove.changed.connect(self._remove)
-        footer.cancel.changed.connect(self.cancel)
         self._connections = EventConnections(
             (model.changed, self._on_changed),
             (controller.slice_changed, self._show),
@@ -76,39 +74,20 @@ class Registering:
         )
         self._show()
 
-    @property
-    def busy(self) -> bool:
-        """True while a registration is running."""
-        return self._jobs.busy()
-
-    def cancel(self, *_: Any) -> None:
-        """Stop the registration; nothing is changed."""
-        if self.busy:
-            self._cancel.set()
-            self._jobs.cancel()
-            self._controller.progress.stop()
-            self._show()
-            self._controller.show_again()
-            self.message.emit("The registration was cancelled; nothing was changed.")
-
     def release(self) -> None:
         """Stop all work, and disconnect from all events."""
-        self._cancel.set()
-        self._jobs.release()
+        self.job.release()
         self._gui.release()
         self._connections.release()
 
     def _start(self, *_: Any) -> None:
         """Read the study and the second image, and register them in the background."""
-        pair = None if self.busy else read_pair(self._controller)
+        pair = None if self.job.busy else self.job.read_pair()
         if pair is None:
             return
         second = self._controller.form.result.second.value
-        self._cancel = threading.Event()
-        work = partial(self._run, *pair, self._form.alignment.value, self._cancel)
-        self._controller.engine.cancel()
-        self._jobs.submit(_JOB, work, partial(self._finish, self._model.measured_part, second))
-        self._controller.progress.start("Registering", at_once=True)
+        work = partial(self._run, *pair, self._form.alignment.value)
+        self.job.start(work, partial(self._finish, self._model.measured_part, second))
         self._show()
 
     def _run(
@@ -140,12 +119,11 @@ class Registering:
 
     def _follow(self, moved: Deformation, cancel: threading.Event) -> None:
         """Show the image as the registration has moved it so far."""
-        if self.busy and not cancel.is_set() and self._controller.is_current(moved.study):
+        if self.job.busy and not cancel.is_set() and self._controller.is_current(moved.study):
             self._controller.pointer.show(ShownDeformation(moved))
 
     def _finish(self, part: Part, second: Any, found: RegisteredStudy) -> None:
         """Store the measured motion of a slice, as one step, and deliver the result."""
-        self._controller.progress.stop()
         measured = found.study.motion.measured
         if measured is not None and part.layer in self._controller.form.image.offered:
             # Delivered only if nothing was edited since: the inputs are compared.
@@ -158,7 +136,7 @@ class Registering:
                 if align_layer(second, place, matrix, self._controller.form.view()):
                     self._form.alignment.value = None
                     parts.append(_MOVED.format(second.name))
-            self.message.emit(" ".join(filter(None, parts)))
+            self.job.message.emit(" ".join(filter(None, parts)))
         self._show()
 
     def _remove(self, *_: Any) -> None:
@@ -169,12 +147,6 @@ class Registering:
             self._controller.follow_edit()
             self._show()
 
-    def _refuse(self, sentence: str) -> None:
-        self._controller.progress.stop()
-        self._show()
-        self._controller.show_again()
-        self.message.emit(f"The images were not registered. {sentence}")
-
     def _show(self, *_: Any) -> None:
         """Enable the buttons, and describe the registration of the visible slice."""
         form = self._controller.form
@@ -183,27 +155,6 @@ class Registering:
         self._form.show(
             measured,
             second_name="" if second is None else str(second.name),
-            is_elastic=self._model.model.name == "elastic",
-            is_busy=self.busy,
+            is_elastic=supports(self._model.model.name, "registration"),
+            is_busy=self.job.busy,
         )
-
-
-def read_pair(controller: Controller) -> tuple[Study, SecondPicture] | None:
-    """Return the current study and the second image on its grid.
-
-    Returns
-    -------
-    (Study, SecondPicture) or None
-        None if one of them is missing or invalid; the reason is shown.
-    """
-    form, second = controller.form, controller.form.result.second.value
-    if second is None or not controller.refresh():
-        return None
-    study = controller.study
-    assert study is not None
-    try:
-        picture = second_picture(second, study.grid.known_place, study.grid.shape, form.view())
-    except Exception as error:  # noqa: BLE001 - a layer may raise anything
-        controller.refuse(error)
-        return None
-    return study, picture

@@ -128,7 +128,7 @@ class SoftTissue(DockValues):
         self._second = SecondImage(viewer, self._view, controller, undo.model)
         self._registering = Registering(controller, undo.model)
         self._fitting = Fitting(controller, undo.model)
-        for job in (self._registering, self._fitting):
+        for job in (self._registering.job, self._fitting.job):
             job.message.connect(partial(self._guide.show_message, why="step"))
         self._sides = PatientSides(viewer, form.image)
         self._unsaved = Unsaved(self, viewer, controller, self._try)
@@ -197,7 +197,7 @@ class SoftTissue(DockValues):
     @property
     def busy(self) -> bool:
         """True if a requested change is not shown yet."""
-        jobs = (self._controller, self._view, self._registering, self._fitting)
+        jobs = (self._controller, self._view, self._registering.job, self._fitting.job)
         return any(job.busy for job in jobs)
 
     @property
