@@ -329,7 +329,8 @@ def reference_of_parts(
     force = None
     if contents is not None:
         force = forces_of(contents, problem.stiffness, problem.spacing)
-    return dense_solution(problem, drawn.prior, force, tilt, number)
+    field, least = dense_solution(problem, drawn.prior, force, tilt, number)
+    return field / problem.unit, least
 
 
 def _depends_on_normals(drawn: RandomProblem, exact: np.ndarray) -> bool:

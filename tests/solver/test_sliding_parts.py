@@ -11,7 +11,7 @@ from napari_hmrf.loads import Loads, weight
 from napari_hmrf.solver.coupling import Coupling
 from napari_hmrf.solver.unfolded import unfolded
 from napari_hmrf.tissue import SlidingParts
-from validation.oracles.posterior import sliding_field
+from validation.oracles.parts import sliding_field
 
 SLIP = 4.0
 

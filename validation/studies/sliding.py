@@ -22,7 +22,8 @@ from napari_hmrf.landmarks import Landmarks
 from napari_hmrf.loads import Loads
 from napari_hmrf.solver.interface_normals import interface_normals
 from napari_hmrf.tissue import SlidingParts
-from validation.oracles.posterior import posterior_mean, sliding_field
+from validation.oracles.parts import sliding_field
+from validation.oracles.posterior import posterior_mean
 from validation.study import Options, Results, Table, numbered, study
 
 Array = npt.NDArray[np.float64]
