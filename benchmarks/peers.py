@@ -16,7 +16,6 @@ docs/validation/volumes.md.
 from __future__ import annotations
 
 import argparse
-import functools
 import importlib.util
 import math
 import statistics
@@ -46,7 +45,6 @@ from benchmarks.clock import (
 )
 from benchmarks.speed import Work, edit, growing, random_deformation
 from napari_hmrf import (
-    BackendError,
     ConvergenceError,
     ElasticPrior,
     Multigrid,
@@ -66,7 +64,7 @@ from validation.oracles.elasticity import (
     factorise,
     rigid_motions,
 )
-from validation.study import Options, Table, Target, study
+from validation.study import Options, Table, Target, backends, study
 from validation.study import Results as StudyResults
 
 Field = npt.NDArray[Any]
@@ -400,18 +398,8 @@ def is_there(name: str) -> bool:
     if name.startswith("pyamg"):
         return has_pyamg()
     if name == "opengl":
-        return _has_opengl()
+        return name in backends()
     return name != "calculix" or calculix.is_there()
-
-
-@functools.cache
-def _has_opengl() -> bool:
-    try:
-        solve(phantom("bar", 16).problem, PRIOR, backend="opengl")
-    except BackendError as error:
-        print(f"shaders are skipped: {error}", file=sys.stderr)
-        return False
-    return True
 
 
 README = ROOT / "README.md"

@@ -217,7 +217,7 @@ def test_the_number_of_threads_does_not_change_the_residual():
 # The field
 
 
-@pytest.mark.skipif(not calculix.is_there(), reason="CalculiX is not installed")
+@pytest.mark.skipif(not calculix.is_there(), reason=calculix.MISSING)
 @pytest.mark.parametrize("poisson", [0.3, 0.45])
 def test_the_reference_solution_matches_calculix_except_for_locking(poisson):
     problem = compressed_volume(random_stiffness(100, (6, 5, 4)), OBLONG)

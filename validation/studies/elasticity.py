@@ -124,13 +124,11 @@ def compare_fields(problem: Problem) -> Fields:
         "elastic prior": _solved(problem, prior, 0.01).displacement,
         "the paper's prior, converged": paper,
     }
-    if calculix.is_there():
+    if not calculix.is_missing():
         book = calculix.textbook_plane_stress(problem, POISSON)
         fields["CalculiX, textbook plane stress"] = book
         for element in ("CPS4", "CPS4R", "CPS3"):
             fields[f"CalculiX, {element}"] = calculix.solve(problem, element, POISSON)
-    else:
-        print(f"CalculiX is not installed: {calculix.HOW}")
     apart = rmsd(paper, solve_exactly(problem, "centred"), problem.tissue)
     return Fields(fields, direct_solution(problem, prior), problem.tissue, apart)
 
@@ -457,8 +455,7 @@ def _to_elements(size: int) -> Iterator[list[Any]]:
     off = _apart(found.displacement, direct, problem)
     claim = "volume to a direct solve: largest error in voxels"
     yield [claim, f"{off:.3g}", found.iterations]
-    if not calculix.is_there():
-        print(f"CalculiX is not installed: {calculix.HOW}")
+    if calculix.is_missing():
         return
     locking = direct_solution(problem, prior, locking=True)
     theirs = calculix.solve(problem, "C3D8", POISSON)

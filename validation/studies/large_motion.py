@@ -152,8 +152,7 @@ _OTHERS = (
 
 def blocks(options: Options) -> Iterator[tuple[str, tuple[Any, tuple[int, int]]]]:
     """Yield blocks in large motion, if CalculiX is installed."""
-    if not calculix.is_there():
-        print(f"CalculiX is not installed: {calculix.HOW}")
+    if calculix.is_missing():
         return
     for name, block in BLOCKS.items():
         yield name, (block, options.choose((_SIZE, _SMALL), (6, 4)))
