@@ -8,7 +8,7 @@ from napari_hmrf.errors import ArgumentError
 from napari_hmrf.landmarks import Landmarks, StrainScale
 from napari_hmrf.posterior import sample_posterior, uncertainty
 from napari_hmrf.posterior.blanket import CliqueNoise
-from validation.oracles.paper import residual_matrix
+from validation.oracles.paper import equations
 
 BLANKET = SeilerPrior(conditional="blanket")
 COUNT = 50
@@ -26,7 +26,7 @@ def held_block(shape=(8, 7), spacing=(1.0, 1.0), moved=0.0):
 
 PROBLEM = held_block(moved=(0.5, 1.0))
 #: Second derivatives of the energy of the paper, without observations.
-MATRIX = 2 * (residual_matrix(PROBLEM).T @ residual_matrix(PROBLEM)).toarray()
+MATRIX = 2 * equations(PROBLEM.stiffness, PROBLEM.spacing, "blanket").toarray()
 FREE = (MATRIX.diagonal() > 0) & ~PROBLEM.known.ravel()
 
 
