@@ -178,7 +178,7 @@ def study(
 
 
 def numbered(count: int, quick: int = 2) -> Callable[[Options], Iterator[tuple[str, int]]]:
-    """Return the cases of random problems: `count` consecutive numbers."""
+    """Return the cases of statistics of random problems: `count` consecutive numbers."""
 
     def cases(options: Options) -> Iterator[tuple[str, int]]:
         total = options.count or options.choose(count, quick)

@@ -12,6 +12,7 @@ from napari_hmrf.solver.coupling import Coupling
 from napari_hmrf.solver.unfolded import unfolded
 from napari_hmrf.tissue import SlidingParts
 from validation.oracles.parts import sliding_field
+from validation.problems import tissue_with_parts
 
 SLIP = 4.0
 
@@ -130,28 +131,10 @@ def test_weight_along_an_interface_stretches_both_parts_as_it_stretches_one_body
 
 
 @pytest.mark.parametrize(
-    ("grid", "spacing", "count"),
-    [((30, 40), (1, 1), 2), ((28, 24), (1, 2), 4), ((11, 12, 13), (1, 1, 1), 3)],
+    "number", [0, 1, 2, *(pytest.param(number, marks=pytest.mark.campaign) for number in (3, 5))]
 )
-def test_sliding_parts_give_the_field_of_least_energy(grid, spacing, count):
-    rng, axes = np.random.default_rng(count), len(grid)
-    place = np.moveaxis(np.indices(grid), 0, -1)
-    seeds = rng.random((count, axes)) * grid
-    labels = np.linalg.norm(place[..., None, :] - seeds, axis=-1).argmin(axis=-1)
-    m = (10.0 ** rng.uniform(0, 2, count))[labels] * rng.uniform(1, 2, grid)
-    m[(slice(6, 9),) * axes] = 0
-    y, c = rng.normal(size=(*grid, axes)), both(rng.random(grid) < 0.2, axes)
-    force = rng.normal(size=y.shape) * (m > 0)[..., None]
-    problem = Problem(
-        observed=y,
-        confidence=c,
-        stiffness=m,
-        spacing=spacing,
-        loads=Loads(force=force, growth=0.05 * rng.random(grid)),
-        precision=rng.random(grid) * (rng.random(grid) < 0.1),
-        sliding=SlidingParts(labels),
-    )
-    prior = ElasticPrior(rng.uniform(0.2, 0.45, grid))
+def test_sliding_parts_give_the_field_of_least_energy(number):
+    problem, prior = tissue_with_parts(number, is_loaded=True, has_hole=True)
     solution = solve(problem, prior, backend="cpu")
     error = abs(solution.displacement - sliding_field(problem, prior)).max() / problem.unit
     assert error <= 1e-3

@@ -16,6 +16,7 @@ from napari_hmrf.solver.priors.elastic import Plane
 from validation.oracles import calculix
 from validation.oracles.elasticity import direct_solution
 from validation.oracles.paper import solve_exactly
+from validation.problems import OBLONG, random_block
 from validation.studies.paper import PHANTOMS, bar_strain_ratio
 from validation.study import (
     COLOURS,
@@ -33,7 +34,6 @@ from validation.study import (
 
 Float64Array = npt.NDArray[np.float64]
 POISSON = 0.3
-OBLONG = (1.0, 1.7, 0.6)
 #: Largest RMSD from a direct solve of the same energy, and from another program, in pixels.
 SAME_ENERGY, OTHER_PROGRAM = 0.005, 0.01
 #: Largest error of a patch test, in pixels.
@@ -411,15 +411,6 @@ def separate_errors(cases: list[tuple[int, Exact]]) -> dict[int, tuple[float, ..
 # Volumes.
 
 
-def mixed(size: int) -> Problem:
-    """Return voxels of random stiffness, with a contrast of 100, between two plates."""
-    shape = (size, size, size)
-    y, c = np.zeros((*shape, 3)), np.zeros((*shape, 3))
-    c[[0, -1]], y[-1] = 1, np.array((1.0, 0.5, -0.3)) * OBLONG
-    m = 100 ** np.random.default_rng(0).random(shape)
-    return Problem(observed=y, confidence=c, stiffness=m, spacing=OBLONG)
-
-
 def _volume_targets(results: Results) -> Iterator[Target]:
     bounds = {
         "volume to a direct solve: largest error in voxels": 1e-3,
@@ -449,7 +440,7 @@ def volume_errors(case: tuple[Callable[[Any], Any], Any]) -> list[Any]:
 
 
 def _to_elements(size: int) -> Iterator[list[Any]]:
-    problem, prior = mixed(size), ElasticPrior(POISSON)
+    problem, prior = random_block(size, 100.0, (1.0, 0.5, -0.3)), ElasticPrior(POISSON)
     direct = direct_solution(problem, prior)
     found = _solved(problem, prior, 1e-3)
     off = _apart(found.displacement, direct, problem)

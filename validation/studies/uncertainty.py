@@ -34,6 +34,7 @@ from napari_hmrf.posterior.sampling import Sampler, checked_prior, energy_of
 from napari_hmrf.posterior.scale_fit import Likelihood
 from validation.oracles.elasticity import direct_solution, stiffness_matrix
 from validation.oracles.posterior import interpolation, posterior_covariance
+from validation.problems import small_tissue_with_data
 from validation.study import Options, Results, Table, numbered, study
 
 Array = npt.NDArray[np.float64]
@@ -47,42 +48,6 @@ _BOUNDS = {68: 0.9945, 95: 1.96}
 # Samples.
 
 _COUNTS = (30, 300, 3000)
-
-
-def random_tissue(seed: int) -> Problem:
-    """Return a random problem with held tissue, random tensors or landmarks."""
-    rng = np.random.default_rng(seed)
-    grid, spacing = (
-        ((14, 14), (1.0, 1.0)),
-        ((14, 14), (1.0, 3.0)),
-        ((6, 6, 6), (1.0, 1.0, 1.0)),
-        ((6, 6, 6), (2.0, 1.0, 1.0)),
-    )[seed % 4]
-    axes, contrast = len(grid), (1.0, 1e3)[seed // 4 % 2]
-    m = contrast ** rng.random(grid)
-    c = np.zeros((*grid, axes))
-    kind = ("held", "tensors", "landmarks")[seed // 8 % 3]
-    precision, marks = None, None
-    if kind != "landmarks":
-        m[(slice(2, 4),) * axes] = 0
-        c[0] = 1
-    energy = _SCALE.energy(m, spacing)
-    if kind == "tensors":
-        factors = rng.normal(size=(*grid, axes, axes))
-        precision = factors @ factors.swapaxes(-1, -2) * (rng.random(grid) < 0.1)[..., None, None]
-        precision *= energy / 0.3**2
-    if kind == "landmarks":
-        points = rng.random((8, axes)) * (np.array(grid) - 1)
-        marks = Landmarks(points, points, sd=10 ** rng.uniform(-1, 0.5), scale=_SCALE)
-    observed = np.zeros_like(c)
-    return Problem(
-        observed=observed,
-        confidence=c,
-        stiffness=m,
-        spacing=spacing,
-        precision=precision,
-        landmarks=marks,
-    )
 
 
 def _sample_rows(results: Results) -> Iterator[list[Any]]:
@@ -107,7 +72,7 @@ def sample_variances(seed: int) -> list[float]:
     Errors are in units of their theoretical standard deviation, which follows from the whole
     covariance: neighbouring sites move together, and their variances are not independent.
     """
-    problem = random_tissue(seed)
+    problem = small_tissue_with_data(seed, _SCALE)
     covariance, free = posterior_covariance(problem, ElasticPrior(), _SCALE)
     variance = np.diag(covariance)
     correlation = covariance / np.sqrt(np.outer(variance, variance))
