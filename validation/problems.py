@@ -105,7 +105,10 @@ def turned(height: int, width: int, degrees: float) -> Array:
 
 
 def between_plates(
-    m: npt.NDArray[Any], by: tuple[float, ...], spacing: tuple[float, ...] | None = None
+    m: npt.NDArray[Any],
+    by: tuple[float, ...],
+    spacing: tuple[float, ...] | None = None,
+    loads: Loads | None = None,
 ) -> Problem:
     """Return tissue between a fixed plate and a plate that is moved by `by` pixels.
 
@@ -117,11 +120,12 @@ def between_plates(
         Displacement along each axis, in pixels of that axis.
     spacing : tuple of float, optional
         Size of a pixel; by default 1.
+    loads : Loads, optional
     """
     spacing = spacing or (1.0,) * m.ndim
     y, c = np.zeros((2, *m.shape, m.ndim))
     c[[0, -1]], y[-1] = 1, np.array(by) * spacing
-    return Problem(observed=y, confidence=c, stiffness=m, spacing=spacing)
+    return Problem(observed=y, confidence=c, stiffness=m, spacing=spacing, loads=loads)
 
 
 def random_block(size: int, contrast: float, by: tuple[float, ...], balls: int = 0) -> Problem:

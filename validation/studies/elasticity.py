@@ -496,8 +496,7 @@ def hollow_sphere(size: int) -> float:
         observed=exact, confidence=c, stiffness=tissue.astype(float), spacing=(2 / size,) * 3
     )
     found = _solved(problem, ElasticPrior(POISSON), 1e-4)
-    off = (found.displacement - exact)[tissue & ~skins]
-    return float(np.sqrt((off**2).sum(axis=-1).mean()))
+    return rmsd(found.displacement, exact, tissue & ~skins)
 
 
 def _apart(one: npt.ArrayLike, other: npt.ArrayLike, problem: Problem) -> float:

@@ -70,7 +70,7 @@ class Case:
         )
 
 
-def _tilted(degrees: float, size: int) -> tuple[Array, Array, Array]:
+def tilted(degrees: float, size: int) -> tuple[Array, Array, Array]:
     """Return the normal and the direction of a tilted line, and the sites from the middle."""
     angle = np.radians(degrees)
     normal = np.array([np.cos(angle), -np.sin(angle)])
@@ -80,7 +80,7 @@ def _tilted(degrees: float, size: int) -> tuple[Array, Array, Array]:
 
 def plane(degrees: float, size: int = 64) -> Case:
     """Return a block that is dragged along a tilted plane by its far side."""
-    normal, along, place = _tilted(degrees, size)
+    normal, along, place = tilted(degrees, size)
     depth = place @ normal - 0.2
     inner = depth < 0
     exact = np.where(inner[..., None], _SLIP * along, 0.0)
@@ -95,7 +95,7 @@ def plane(degrees: float, size: int = 64) -> Case:
 
 def wedge(degrees: float = 17.0, size: int = 64) -> Case:
     """Return a block that is pushed horizontally up a wedge, and is free to rise."""
-    normal, along, place = _tilted(degrees, size)
+    normal, along, place = tilted(degrees, size)
     depth = place @ normal - 6.2
     inner = depth < 0
     block = (place[..., 1] > -14) & (place[..., 1] < 12) & (place[..., 0] > -16)
@@ -288,10 +288,9 @@ def normals(case: Case) -> list[str]:
 
 
 def _along_plane(degrees: float) -> tuple[float, float]:
-    size, (up, across) = 64, (np.cos(np.radians(degrees)), np.sin(np.radians(degrees)))
-    along, normal = np.array([across, up]), np.array([up, -across])
-    place = np.moveaxis(np.indices((size, size)), 0, -1) - size / 2
-    depth = place @ normal
+    size = 64
+    normal, along, place = tilted(degrees, size)
+    depth = (place - 0.5) @ normal
     plane, far = np.abs(depth) <= 0.5, depth < -20
     y, c = np.zeros((size, size, 2)), np.zeros((size, size, 2))
     y[far], c[far] = 4 * along, 1
@@ -305,13 +304,10 @@ def _along_plane(degrees: float) -> tuple[float, float]:
 
 
 def _in_surface(strength: float) -> tuple[float, float]:
-    size, radius = 50, 20
-    place = np.moveaxis(np.indices((size,) * 3), 0, -1) - (size - 1) / 2
-    away = np.linalg.norm(place, axis=-1)
+    radius, (place, away, turn) = 20, _turning(50)
     normal = place / away[..., None]
     surface, tissue = np.abs(away - radius) <= 0.5, away <= radius + 0.5
     data = strength * surface[..., None, None] * normal[..., :, None] * normal[..., None, :]
-    turn = np.stack([0 * away, -0.1 * place[..., 2], 0.1 * place[..., 1]], axis=-1)
     core = (away <= 6)[..., None]
     field = _field_of(
         Problem(

@@ -34,7 +34,7 @@ from napari_hmrf.posterior.sampling import Sampler, checked_prior, energy_of
 from napari_hmrf.posterior.scale_fit import Likelihood
 from validation.oracles.elasticity import direct_solution, stiffness_matrix
 from validation.oracles.posterior import interpolation, posterior_covariance
-from validation.problems import small_tissue_with_data
+from validation.problems import between_plates, small_tissue_with_data
 from validation.study import Options, Results, Table, numbered, study
 
 Array = npt.NDArray[np.float64]
@@ -224,16 +224,15 @@ class LandmarkedTissue:
 
     def __init__(self, landmarks: int, seed: int) -> None:
         self.rng = np.random.default_rng((seed, landmarks))
-        self._observed, self._confidence = np.zeros((2, *self.grid, 2))
-        self._confidence[[0, -1]], self._observed[-1] = 1, (4, 1)
         points = self.rng.random((landmarks, 2)) * (np.array(self.grid) - 1)
         marks = Landmarks(points, points, sd=self.sd, scale=_SCALE)
         self._rows = interpolation(points, self.grid)
-        self._assumed = direct_solution(self._tissue(1.0), _TRUTH).ravel()
+        bare = self._tissue(1.0)
+        self._assumed = direct_solution(bare, _TRUTH).ravel()
         problem = Problem(
-            observed=self._observed,
-            confidence=self._confidence,
-            stiffness=np.ones(self.grid),
+            observed=bare.observed,
+            confidence=bare.confidence,
+            stiffness=bare.stiffness,
             landmarks=marks,
         )
         prior = checked_prior(problem, ElasticPrior(0.3))
@@ -243,7 +242,7 @@ class LandmarkedTissue:
     def _tissue(self, stiffness: float) -> Problem:
         m = np.ones(self.grid)
         m[7:17, 7:17] = stiffness
-        return Problem(observed=self._observed, confidence=self._confidence, stiffness=m)
+        return between_plates(m, (4.0, 1.0))
 
     def truth(self, stiffness: float = 1.0) -> tuple[Array, Array]:
         """Return the mean and a root of the covariance of the motion, by scikit-fem.
@@ -254,7 +253,8 @@ class LandmarkedTissue:
             Stiffness of a square of 10 x 10 pixels, relative to the tissue around it. The mean is
             relative to that of uniform tissue.
         """
-        true, free = self._tissue(stiffness), (self._confidence == 0).ravel()
+        true = self._tissue(stiffness)
+        free = ~true.known.ravel()
         root = np.linalg.cholesky(stiffness_matrix(true, _TRUTH).toarray()[np.ix_(free, free)])
         seen = self._rows[:, np.flatnonzero(free)].toarray()
         mean = self._rows @ (direct_solution(true, _TRUTH).ravel() - self._assumed)
@@ -408,8 +408,7 @@ def _fit_rows(results: Results) -> Iterator[list[str]]:
 def fits(seed: int) -> dict[str, list[tuple[float, bool]]]:
     """Compare fitted ratios of stiffness and growth with the true ones."""
     grid, prior = (48, 48), ElasticPrior(0.3)
-    held, moved = np.zeros((2, *grid, 2))
-    held[[0, -1]], moved[-1] = 1, (3, 1)
+    ends = (3.0, 1.0)
     errors: dict[str, list[tuple[float, bool]]] = {kind: [] for kind in _FITS}
     rng = np.random.default_rng(seed)
     labels = np.ones(grid, int)
@@ -421,26 +420,16 @@ def fits(seed: int) -> dict[str, list[tuple[float, bool]]]:
         true = np.ones(5)
         if kind != "uniform":
             true[2:] = 10 ** rng.uniform(-0.7, 1, 3)
-        problem = Problem(observed=moved, confidence=held, stiffness=true[labels])
         if kind == "growth":
             strain = float(rng.uniform(0.1, 0.3))
-            problem = Problem(
-                observed=moved,
-                confidence=held,
-                stiffness=true[labels],
-                loads=growth(strain * (labels == 2)),
-            )
-            field = solve(problem, prior, backend="cpu").displacement
+            grown = between_plates(true[labels], ends, loads=growth(strain * (labels == 2)))
+            field = solve(grown, prior, backend="cpu").displacement
         else:
-            field = direct_solution(problem, _TRUTH)
+            field = direct_solution(between_plates(true[labels], ends), _TRUTH)
         sd = 0.05 * float(np.sqrt((field**2).mean()))
         seen = field + rng.normal(0, sd, field.shape)
-        guess = Problem(
-            observed=moved,
-            confidence=held,
-            stiffness=np.ones(grid) if kind != "growth" else true[labels],
-        )
         grows = kind == "growth"
+        guess = between_plates(true[labels] if grows else np.ones(grid), ends)
         found = fit(
             guess,
             labels,
@@ -466,19 +455,16 @@ def maps(seed: int) -> list[Any]:
     """Compare two inclusions in maps of the stiffness with the true ones."""
     size, prior = 64, ElasticPrior(0.3)
     rows, cols = np.indices((size, size))
-    held, moved = np.zeros((2, size, size, 2))
-    held[[0, -1]], moved[-1, :, 0] = 1, -2
+    ends = (-2.0, 0.0)
     rng = np.random.default_rng(seed)
     inside = np.zeros((size, size), bool)
     for row, col in ((22, 20), (42, 44)):
         middle = rng.uniform(-3, 3, 2) + np.array((row, col))
         inside |= np.hypot(rows - middle[0], cols - middle[1]) < rng.uniform(7, 10)
-    field = direct_solution(
-        Problem(observed=moved, confidence=held, stiffness=np.where(inside, 3.0, 1.0)), _TRUTH
-    )
+    field = direct_solution(between_plates(np.where(inside, 3.0, 1.0), ends), _TRUTH)
     sd = 0.05 * float(np.sqrt((field**2).mean()))
     seen = field + rng.normal(0, sd, field.shape)
-    guess = Problem(observed=moved, confidence=held, stiffness=np.ones((size, size)))
+    guess = between_plates(np.ones((size, size)), ends)
     found = stiffness_map(guess, seen, sd=sd, prior=prior, backend="cpu")
     ratios = found.stiffness / np.median(found.stiffness[~inside])
     stiff = ratios > np.sqrt(3)
