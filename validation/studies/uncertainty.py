@@ -86,6 +86,12 @@ def sample_variances(seed: int) -> list[float]:
     return errors
 
 
+def _root(problem: Problem) -> tuple[npt.NDArray[np.bool_], Array]:
+    """Return the free components, and the Cholesky factor of their matrix by scikit-fem."""
+    free = ~problem.known.ravel()
+    return free, np.linalg.cholesky(stiffness_matrix(problem, _TRUTH).toarray()[np.ix_(free, free)])
+
+
 # Coverage.
 
 _KINDS = {
@@ -122,8 +128,7 @@ def coverage(seed: int) -> dict[str, list[float]]:
     bare = Problem(observed=np.zeros_like(c), confidence=c, stiffness=m, spacing=spacing)
     energy = _SCALE.energy(bare.stiffness, spacing)
     # The truth is a sample of the prior, by another assembly of the elements.
-    free = (c == 0).ravel()
-    root = np.linalg.cholesky(stiffness_matrix(bare, _TRUTH).toarray()[np.ix_(free, free)])
+    free, root = _root(bare)
     truth = np.zeros(c.size)
     truth[free] = np.sqrt(energy) * np.linalg.solve(root.T, rng.normal(size=free.sum()))
     points = rng.random((int(rng.integers(1, 7)), 2)) * (np.array(grid) - 1)
@@ -254,8 +259,7 @@ class LandmarkedTissue:
             relative to that of uniform tissue.
         """
         true = self._tissue(stiffness)
-        free = ~true.known.ravel()
-        root = np.linalg.cholesky(stiffness_matrix(true, _TRUTH).toarray()[np.ix_(free, free)])
+        free, root = _root(true)
         seen = self._rows[:, np.flatnonzero(free)].toarray()
         mean = self._rows @ (direct_solution(true, _TRUTH).ravel() - self._assumed)
         return mean, scipy.linalg.solve_triangular(root, np.sqrt(self.energy) * seen.T, lower=True)
