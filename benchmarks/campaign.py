@@ -41,18 +41,22 @@ from validation.oracles.exact import Exact, exact_field
 from validation.oracles.exact.equations import free_motions
 from validation.oracles.large_motion import smallest_jacobian
 from validation.oracles.paper import solve_exactly
-from validation.oracles.parts import dense_solution, forces_of
+from validation.oracles.parts import dense_solution, forces_of, sliding_field
+from validation.oracles.posterior import posterior_mean
 from validation.problems import (
     LargeMotion,
     RandomProblem,
     State,
+    between_plates,
     dice_of,
     edits_of,
     mild_tissue,
+    random_data,
     random_large_motion,
     random_parts,
     random_problem,
     tissue_with_gaps,
+    tissue_with_parts,
 )
 
 _TIMES = 3.0
@@ -310,15 +314,49 @@ def judge_parts(seed: int, number: int, backend: str = "cpu") -> Iterator[Verdic
     if not np.isfinite(exact).all():
         yield Verdict("solved, singular", kinds, note=str(drawn))
         return
-    unit, of = drawn.problem.unit, found.convergence
+    yield _beside(found, drawn.problem, exact, kinds, f"{drawn}, least eigenvalue {least:.1e}")
+
+
+def _beside(
+    found: Solution, problem: Problem, exact: np.ndarray, kinds: dict[str, str], note: str = ""
+) -> Verdict:
+    """Compare a solution with the exact field in pixels, at the sites of elements."""
+    of = found.convergence
     assert of is not None
-    whole = sites_of_elements(drawn.problem.stiffness)
-    error = float(np.abs(found.displacement / unit - exact)[whole].max())
+    whole = sites_of_elements(problem.stiffness)
+    error = float(np.abs(found.displacement / problem.unit - exact)[whole].max())
     outcome = "right" if error <= _LARGEST else "wrong"
     if outcome == "right" and error > _TIMES * of.error + _GRACE:
         outcome = "reported"
-    note = f"{drawn}, least eigenvalue {least:.1e}"
-    yield Verdict(outcome, kinds, error, of.error, Multigrid().tolerance, note=note)
+    return Verdict(outcome, kinds, error, of.error, Multigrid().tolerance, note=note)
+
+
+def judge_sliding(_: int, number: int, backend: str = "cpu") -> Iterator[Verdict]:
+    """Compare larger sliding parts, with growth, forces and a precision, with sparse solutions.
+
+    Faults are those of `judge_parts`, and all refusals.
+    """
+    problem, prior = tissue_with_parts(number)
+    kinds = {"grid": " x ".join(map(str, problem.shape)), "parts": str(2 + number % 3)}
+    try:
+        found = solve(problem, prior, backend=backend)
+    except (ProblemError, ConvergenceError) as refusal:
+        yield Verdict("refused", kinds, note=str(refusal))
+        return
+    tens = (len(found.energy) - 1) // 10
+    kinds["cycles"] = f"{10 * tens} to {10 * tens + 9}"
+    yield _beside(found, problem, sliding_field(problem, prior) / problem.unit, kinds)
+
+
+def judge_data(_: int, number: int, backend: str = "cpu") -> Iterator[Verdict]:
+    """Compare tensors of data of any rank and strength, and landmarks, with sparse solutions.
+
+    Faults are those of `judge_parts`.
+    """
+    kinds, problem = random_data(number)
+    prior = ElasticPrior(0.3)
+    found = solve(problem, prior, backend=backend)
+    yield _beside(found, problem, posterior_mean(problem, prior) / problem.unit, kinds)
 
 
 def reference_of_parts(
@@ -329,7 +367,8 @@ def reference_of_parts(
     force = None
     if contents is not None:
         force = forces_of(contents, problem.stiffness, problem.spacing)
-    return dense_solution(problem, drawn.prior, force, tilt, number)
+    field, least = dense_solution(problem, drawn.prior, force, tilt, number)
+    return field / problem.unit, least
 
 
 def _depends_on_normals(drawn: RandomProblem, exact: np.ndarray) -> bool:
@@ -530,12 +569,9 @@ def judge_memory(seed: int, number: int, backend: str = "cpu") -> Iterator[Verdi
     Memory that grows by more than 100 MB after the first tenth of the volumes is a fault.
     """
     shape = _SHAPES[number % len(_SHAPES)]
-    y, c = np.zeros((2, *shape, 3))
-    c[0] = c[-1] = 1
-    y[-1, ..., 0] = 1
-    m = 10 ** dice_of(seed, number).uniform(0, 3, shape)
+    problem = between_plates(10 ** dice_of(seed, number).uniform(0, 3, shape), (1.0, 0.0, 0.0))
     prior = ElasticPrior(0.3, penalty=math.inf if number % 10 else 5.0)
-    solve(Problem(observed=y, confidence=c, stiffness=m), prior, backend=backend)
+    solve(problem, prior, backend=backend)
     yield Verdict("right")
 
 
@@ -550,6 +586,8 @@ CAMPAIGNS = {
     "images": Campaign(judge_image, 5000),
     "volumes": Campaign(judge_volume, 600),
     "parts": Campaign(judge_parts, 2500),
+    "sliding": Campaign(judge_sliding, 24),
+    "data": Campaign(judge_data, 100),
     "gaps": Campaign(judge_gaps, 4000),
     "large-gaps": Campaign(judge_large_gaps, 1000),
     "gaps-in-volumes": Campaign(judge_gaps_in_volumes, 1000),

@@ -16,7 +16,6 @@ docs/validation/volumes.md.
 from __future__ import annotations
 
 import argparse
-import functools
 import importlib.util
 import math
 import statistics
@@ -46,7 +45,6 @@ from benchmarks.clock import (
 )
 from benchmarks.speed import Work, edit, growing, random_deformation
 from napari_hmrf import (
-    BackendError,
     ConvergenceError,
     ElasticPrior,
     Multigrid,
@@ -66,7 +64,8 @@ from validation.oracles.elasticity import (
     factorise,
     rigid_motions,
 )
-from validation.study import Options, Table, Target, study
+from validation.problems import between_plates, random_block
+from validation.study import Options, Table, Target, backends, study
 from validation.study import Results as StudyResults
 
 Field = npt.NDArray[Any]
@@ -400,18 +399,8 @@ def is_there(name: str) -> bool:
     if name.startswith("pyamg"):
         return has_pyamg()
     if name == "opengl":
-        return _has_opengl()
+        return name in backends()
     return name != "calculix" or calculix.is_there()
-
-
-@functools.cache
-def _has_opengl() -> bool:
-    try:
-        solve(phantom("bar", 16).problem, PRIOR, backend="opengl")
-    except BackendError as error:
-        print(f"shaders are skipped: {error}", file=sys.stderr)
-        return False
-    return True
 
 
 README = ROOT / "README.md"
@@ -550,7 +539,6 @@ def warm_starts(case: tuple[int, Work]) -> tuple[int, float]:
 # Volumes.
 
 PAGE = ROOT / "docs" / "validation" / "volumes.md"
-_OBLONG = (1.0, 1.7, 0.6)
 # Ratio of the largest to the smallest stiffness, and tolerance in voxels, of `direct`.
 _CONTRAST, _TOLERANCE = 1e4, 0.001
 # PARDISO's type of a real symmetric positive definite matrix, given by its upper triangle.
@@ -605,21 +593,6 @@ def _beside_pyamg(problem: Problem) -> list[list[Any]]:
     ]
 
 
-def random_block(size: int, seed: int = 0) -> Problem:
-    """Return oblong voxels of random stiffness, with void balls, between two plates."""
-    draw = np.random.default_rng(seed)
-    shape = (size,) * 3
-    m = _CONTRAST ** draw.random(shape)
-    sites = np.indices(shape)
-    for _ in range(24):
-        middle = draw.uniform(0.15, 0.85, 3) * size
-        m[np.linalg.norm(sites - middle.reshape(3, 1, 1, 1), axis=0) < 0.08 * size] = 0
-    y, c = np.zeros((2, *shape, 3))
-    c[0] = c[-1] = 1
-    y[-1] = np.array((2.0, 1.0, -0.6)) * _OBLONG
-    return Problem(observed=y, confidence=c, stiffness=m, spacing=_OBLONG)
-
-
 def direct(sizes: Sequence[int], is_written: bool) -> None:
     """Print distances to the solution of scikit-fem's matrix by PARDISO."""
     if _is_missing("pypardiso", "rivals"):
@@ -636,7 +609,7 @@ def direct(sizes: Sequence[int], is_written: bool) -> None:
 
     rows = []
     for size in sizes or (48,):
-        problem = random_block(size)
+        problem = random_block(size, _CONTRAST, (2.0, 1.0, -0.6), balls=24)
         for poisson in (0.3, 0.45, 0.49):
             prior, optimizer = ElasticPrior(poisson), Multigrid(_TOLERANCE)
             found = solve(problem, prior, optimizer=optimizer, backend="cpu")
@@ -687,11 +660,7 @@ def cube(sizes: Sequence[int], is_written: bool) -> None:
 
 def stretched_cube(nodes: int) -> Problem:
     """Return a uniform cube with one face fixed and the opposite face pulled and sheared."""
-    shape = (nodes,) * 3
-    y, c = np.zeros((2, *shape, 3))
-    c[0] = c[-1] = 1
-    y[-1] = (0.05 * nodes, 0.02 * nodes, 0.0)
-    return Problem(observed=y, confidence=c, stiffness=np.ones(shape))
+    return between_plates(np.ones((nodes,) * 3), (0.05 * nodes, 0.02 * nodes, 0.0))
 
 
 def residual(problem: Problem, d: npt.NDArray[np.floating]) -> float:

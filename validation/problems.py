@@ -1,9 +1,9 @@
 """Problems that tests, benchmarks and studies share: some with a known shape, and random ones.
 
 A function of random problems draws from a generator of NumPy, so a problem depends only on its
-seed; `dice_of` returns the generator of a problem of a campaign. Tissue, void, observations,
-displacements, pixels and priors are drawn by the same functions in images and volumes, and in
-problems with cavities and sliding parts.
+seed; `dice_of` returns the generator of a problem of a campaign. A function that takes a number
+also chooses the grid by it. Tissue, void, observations, displacements, pixels and priors are drawn
+by the same functions in images and volumes, and in problems with cavities and sliding parts.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import numpy.typing as npt
 import scipy.ndimage as ndi
 
 from napari_hmrf import ElasticPrior, NeoHookeanPrior, Problem, SeilerPrior
+from napari_hmrf.landmarks import Landmarks, StrainScale
 from napari_hmrf.loads import Loads, cavity, growth, weight
 from napari_hmrf.solver.neighbours import around_sites, in_elements, sites_of_elements
 from napari_hmrf.solver.unconnected import scraps
@@ -32,6 +33,8 @@ Shape = tuple[int, ...]
 Dice = np.random.Generator
 Prior = ElasticPrior | SeilerPrior
 
+#: Sides of oblong voxels.
+OBLONG = (1.0, 1.7, 0.6)
 #: Largest side of an image and of a volume, and range of sides with cavities or parts, in sites.
 LARGEST, SIDES_OF_PARTS = {2: 64, 3: 13}, {2: (4, 17), 3: (3, 7)}
 #: Number of decades of the largest contrast of stiffness, and of that with cavities or parts.
@@ -47,6 +50,26 @@ _VOIDS = ("none", "holes", "around", "specks", "gaps")
 _USUAL_VOIDS, _VOIDS_OF_PARTS = (0.55, 0.13, 0.14, 0.08, 0.1), (0.4, 0.1, 0.05, 0.35, 0.1)
 # Least Jacobian of a map from which targets of large motion are sampled.
 _LEAST = 0.2
+# Sides and spacing of tissue with sliding parts, and of tissue with random tensors.
+_GRIDS_OF_PARTS: tuple[tuple[Shape, tuple[float, ...]], ...] = (
+    ((30, 40), (1.0, 1.0)),
+    ((28, 24), (1.0, 2.0)),
+    ((11, 12, 13), (1.0, 1.0, 1.0)),
+    ((12, 10, 9), (2.0, 1.0, 1.5)),
+)
+_GRIDS_OF_DATA: tuple[tuple[Shape, tuple[float, ...]], ...] = (
+    ((40, 50), (1.0, 1.0)),
+    ((48, 36), (1.0, 2.0)),
+    ((13, 14, 15), (1.0, 1.0, 1.0)),
+    ((10, 14, 12), (2.0, 1.0, 1.5)),
+)
+# Sides and spacing of tissue with a dense posterior.
+_SMALL_GRIDS: tuple[tuple[Shape, tuple[float, ...]], ...] = (
+    ((14, 14), (1.0, 1.0)),
+    ((14, 14), (1.0, 3.0)),
+    ((6, 6, 6), (1.0, 1.0, 1.0)),
+    ((6, 6, 6), (2.0, 1.0, 1.0)),
+)
 # Kinds of edits and their shares.
 _EDITS = {
     "pull": 0.14,
@@ -79,6 +102,75 @@ def turned(height: int, width: int, degrees: float) -> Array:
     off = np.arange(height) - (height - 1) / 2
     row = radius - (radius - off) * np.cos(angle) - off
     return np.stack([row, (radius - off) * np.sin(angle) - (width - 1)], axis=-1)
+
+
+def between_plates(
+    m: npt.NDArray[Any],
+    by: tuple[float, ...],
+    spacing: tuple[float, ...] | None = None,
+    loads: Loads | None = None,
+) -> Problem:
+    """Return tissue between a fixed plate and a plate that is moved by `by` pixels.
+
+    Parameters
+    ----------
+    m : ndarray, shape (H, W) or (D, H, W)
+        Stiffness; the plates are its first and last sites along the first axis.
+    by : tuple of float
+        Displacement along each axis, in pixels of that axis.
+    spacing : tuple of float, optional
+        Size of a pixel; by default 1.
+    loads : Loads, optional
+    """
+    spacing = spacing or (1.0,) * m.ndim
+    y, c = np.zeros((2, *m.shape, m.ndim))
+    c[[0, -1]], y[-1] = 1, np.array(by) * spacing
+    return Problem(observed=y, confidence=c, stiffness=m, spacing=spacing, loads=loads)
+
+
+def random_block(size: int, contrast: float, by: tuple[float, ...], balls: int = 0) -> Problem:
+    """Return oblong voxels of random stiffness, with void balls, between two plates."""
+    dice, shape = dice_of(0), (size,) * 3
+    m = contrast ** dice.random(shape)
+    for _ in range(balls):
+        m[np.linalg.norm(_off(shape, dice.uniform(0.15, 0.85, 3) * size), axis=0) < 0.08 * size] = 0
+    return between_plates(m, by, OBLONG)
+
+
+def frame_problem(
+    shape: Shape,
+    seed: int = 0,
+    ratio: float = 4.0,
+    amplitude: float = 2.0,
+    spacing: tuple[float, ...] = (1.0, 1.0),
+    has_hole: bool = False,
+) -> Problem:
+    """Return an image of random tissue with random prescribed displacements at its border."""
+    dice = dice_of(seed)
+    m = ratio ** dice.random(shape)
+    if has_hole:
+        m[shape[0] // 2, shape[1] // 2] = 0
+    y = dice.normal(scale=amplitude, size=(*shape, 2))
+    c = np.zeros((*shape, 2))
+    c[[0, -1]] = c[:, [0, -1]] = 1
+    return Problem(observed=y, confidence=c, stiffness=m, spacing=spacing)
+
+
+def pulled_problem(
+    vector: tuple[float, float] = (2.0, -1.0),
+    at: tuple[float, float] = (10, 8),
+    stiff: float = 30.0,
+    size: int = 20,
+    radius: float = 2.5,
+) -> Problem:
+    """Return a body with a fixed border, a stiff inclusion and a pulled patch."""
+    m = np.full((size, size), 10.0)
+    m[size // 4 : size // 2, size // 2 : -3] = stiff
+    y, c = np.zeros((2, size, size, 2))
+    c[[0, -1]] = c[:, [0, -1]] = 1
+    patch = np.hypot(*_off((size, size), at)) <= radius
+    y[patch], c[patch] = vector, 1
+    return Problem(observed=y, confidence=c, stiffness=m)
 
 
 def framed_volume(
@@ -413,7 +505,12 @@ def _labels(dice: Dice, shape: Shape) -> Labels:
     if dice.random() < 0.4:
         middle, tilt = (np.array(shape) - 1) / 2, dice.normal(size=len(shape))
         return np.asarray(np.tensordot(tilt, _off(shape, middle), 1) > 0, np.int32)
-    points = dice.random((int(dice.integers(2, 4)), len(shape))) * shape
+    return _nearest(dice, shape, int(dice.integers(2, 4)))
+
+
+def _nearest(dice: Dice, shape: Shape, count: int) -> Labels:
+    """Return the number of the nearest of some random points at each site."""
+    points = dice.random((count, len(shape))) * shape
     away = [np.linalg.norm(_off(shape, point), axis=0) for point in points]
     return np.argmin(away, axis=0).astype(np.int32)
 
@@ -532,6 +629,153 @@ def _prior(dice: Dice, shape: Shape, shares: tuple[float, ...]) -> tuple[Prior, 
     return ElasticPrior(poisson, plane=kind, penalty=penalty or math.inf), f"elastic {kind}, {how}"
 
 
+class State(NamedTuple):
+    """Problem and prior."""
+
+    problem: Problem
+    prior: Prior
+
+
+def tissue_with_parts(
+    number: int, *, is_loaded: bool | None = None, has_hole: bool = False
+) -> State:
+    """Return two to four parts that slide along each other, with a precision.
+
+    Parameters
+    ----------
+    number : int
+        Number of the problem, which selects its grid and its number of parts, too.
+    is_loaded : bool, optional
+        True for growth and forces; by default, every third problem has them.
+    has_hole : bool
+        True for a hole in the tissue.
+    """
+    dice = dice_of(number)
+    grid, spacing = _GRIDS_OF_PARTS[number % 4]
+    axes, count = len(grid), 2 + number % 3
+    labels = _nearest(dice, grid, count)
+    y = dice.normal(size=(*grid, axes))
+    c = np.repeat((dice.random(grid) < 0.2)[..., None], axes, axis=-1)
+    force, strain = dice.normal(size=y.shape), 0.05 * dice.random(grid)
+    m = (10.0 ** dice.uniform(0, 2, count))[labels] * dice.uniform(1, 2, grid)
+    if has_hole:
+        m[(slice(6, 9),) * axes] = 0
+    loads = Loads(force=force * (m > 0)[..., None], growth=strain)
+    problem = Problem(
+        observed=y,
+        confidence=c.astype(float),
+        stiffness=m,
+        spacing=spacing,
+        loads=loads if (number % 3 == 0 if is_loaded is None else is_loaded) else None,
+        precision=dice.random(grid) * (dice.random(grid) < 0.1),
+        sliding=SlidingParts(labels),
+    )
+    return State(problem, ElasticPrior(dice.uniform(0.2, 0.45, grid) if number % 2 else 0.3))
+
+
+def random_tensors(
+    dice: Dice, grid: Shape, rank: int, strength: float = 1.0, share: float = 1.0
+) -> Array:
+    """Return tensors of a precision of a given rank at a share of the sites."""
+    axes = len(grid)
+    factors = dice.normal(size=(*grid, axes, rank))
+    tensors = strength * factors @ factors.swapaxes(-1, -2)
+    tensors[dice.random(grid) > share] = 0
+    return np.asarray(tensors)
+
+
+def tissue_with_data(
+    dice: Dice,
+    grid: Shape,
+    spacing: tuple[float, ...],
+    precision: Array,
+    contrast: float,
+    *,
+    is_held: bool | None = None,
+    has_landmarks: bool | None = None,
+) -> Problem:
+    """Return random tissue with a hole, random observations and their precision.
+
+    Parameters
+    ----------
+    dice : Generator
+    grid, spacing : tuple
+    precision : ndarray, shape (*grid, axes, axes)
+    contrast : float
+        Ratio of the largest to the smallest stiffness.
+    is_held, has_landmarks : bool, optional
+        True for a held edge, and for eight landmarks near a corner; each is drawn by default.
+    """
+    axes = len(grid)
+    y, c = dice.normal(size=(*grid, axes)), np.zeros((*grid, axes))
+    if dice.random() < 0.5 if is_held is None else is_held:
+        c[0] = 1
+    m = contrast ** dice.random(grid)
+    m[(slice(6, 9),) * axes] = 0
+    marks = None
+    if dice.random() < 0.5 if has_landmarks is None else has_landmarks:
+        points = dice.random((8, axes)) * 4
+        moved = points + dice.normal(size=points.shape)
+        marks = Landmarks(points, moved, sd=10 ** dice.uniform(-2, 1))
+    return Problem(
+        observed=y, confidence=c, stiffness=m, spacing=spacing, precision=precision, landmarks=marks
+    )
+
+
+def random_data(number: int) -> tuple[dict[str, str], Problem]:
+    """Return the kinds and the problem of random tensors, perhaps with landmarks."""
+    dice = dice_of(number)
+    grid, spacing = _GRIDS_OF_DATA[number % 4]
+    rank, share = int(dice.integers(1, len(grid) + 1)), float(dice.choice([1.0, 0.3, 0.05]))
+    contrast, strength = 10 ** dice.uniform(0, 4), 10 ** dice.uniform(-3, 4)
+    tensors = random_tensors(dice, grid, rank, strength, share)
+    problem = tissue_with_data(dice, grid, spacing, tensors, contrast)
+    kinds = {
+        "grid": " x ".join(map(str, grid)),
+        "rank": f"{rank} of {len(grid)}",
+        "observed": f"{share:.0%}",
+        "strength": f"1e{math.floor(math.log10(strength))}",
+        "contrast": f"1e{math.floor(math.log10(contrast))}",
+        "landmarks": "none" if problem.landmarks is None else "some",
+    }
+    return kinds, problem
+
+
+def small_tissue_with_data(number: int, scale: StrainScale) -> Problem:
+    """Return tissue with a dense posterior: held tissue, random tensors or landmarks.
+
+    Parameters
+    ----------
+    number : int
+        Number of the problem, which selects its grid, its contrast and its kind.
+    scale : StrainScale
+        Scale of the strain to which the precision of the data is relative.
+    """
+    dice = dice_of(number)
+    grid, spacing = _SMALL_GRIDS[number % 4]
+    axes, contrast = len(grid), (1.0, 1e3)[number // 4 % 2]
+    m, c = contrast ** dice.random(grid), np.zeros((*grid, axes))
+    kind = ("held", "tensors", "landmarks")[number // 8 % 3]
+    precision, marks = None, None
+    if kind != "landmarks":
+        m[(slice(2, 4),) * axes] = 0
+        c[0] = 1
+    if kind == "tensors":
+        precision = random_tensors(dice, grid, axes, share=0.1)
+        precision *= scale.energy(m, spacing) / 0.3**2
+    if kind == "landmarks":
+        points = dice.random((8, axes)) * (np.array(grid) - 1)
+        marks = Landmarks(points, points, sd=10 ** dice.uniform(-1, 0.5), scale=scale)
+    return Problem(
+        observed=0 * c,
+        confidence=c,
+        stiffness=m,
+        spacing=spacing,
+        precision=precision,
+        landmarks=marks,
+    )
+
+
 def tissue_with_gaps(seed: int, axes: int = 2, sides: tuple[int, int] = (16, 50)) -> Problem:
     """Return smoothed noise with gaps, necks and flaps, held at one side and moved at the other.
 
@@ -543,7 +787,7 @@ def tissue_with_gaps(seed: int, axes: int = 2, sides: tuple[int, int] = (16, 50)
     sides : tuple of int
         Smallest side, and one more than the largest.
     """
-    random = np.random.default_rng(seed)
+    random = dice_of(seed)
     shape = tuple(random.integers(*sides, axes))
     width = (1.5, 4) if axes == 2 else (1.0, 2.5)
     noise = ndi.gaussian_filter(random.normal(size=shape), random.uniform(*width))
@@ -554,13 +798,6 @@ def tissue_with_gaps(seed: int, axes: int = 2, sides: tuple[int, int] = (16, 50)
     held = sites_of_elements(m > 0)
     problem = Problem(observed=y, confidence=c * held[..., None], stiffness=m * held)
     return problem.with_rest(scraps(problem.tissue, problem.known))
-
-
-class State(NamedTuple):
-    """Problem and prior that are being edited."""
-
-    problem: Problem
-    prior: Prior
 
 
 def mild_tissue(dice: Dice) -> State:

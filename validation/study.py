@@ -20,6 +20,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -29,7 +30,9 @@ import numpy.typing as npt
 
 from benchmarks.clock import conditions
 from benchmarks.table import head, line, markdown, replace
+from napari_hmrf import BackendError
 from napari_hmrf.fields import deformation_grid
+from napari_hmrf.solver.backends import compute_thread
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = ROOT / "docs" / "validation"
@@ -175,7 +178,7 @@ def study(
 
 
 def numbered(count: int, quick: int = 2) -> Callable[[Options], Iterator[tuple[str, int]]]:
-    """Return the cases of random problems: `count` consecutive numbers."""
+    """Return the cases of statistics of random problems: `count` consecutive numbers."""
 
     def cases(options: Options) -> Iterator[tuple[str, int]]:
         total = options.count or options.choose(count, quick)
@@ -183,6 +186,19 @@ def numbered(count: int, quick: int = 2) -> Callable[[Options], Iterator[tuple[s
             yield str(number), number
 
     return cases
+
+
+@cache
+def backends() -> tuple[str, ...]:
+    """Return the backends of this machine, and print the reason if there are no shaders."""
+    from napari_hmrf.solver.backends.opengl import describe
+
+    try:
+        compute_thread.submit(describe).result()
+    except BackendError as error:
+        print(f"shaders are skipped: {error}", file=sys.stderr)
+        return ("cpu",)
+    return "opengl", "cpu"
 
 
 def order(errors: Sequence[float], sizes: Sequence[float]) -> float:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -18,6 +20,9 @@ from napari_hmrf.landmarks import Landmarks, StrainScale
 from napari_hmrf.loads import Loads
 from napari_hmrf.solver.data_term import combined_data
 from validation.oracles.posterior import posterior_mean
+from validation.problems import random_tensors, tissue_with_data
+
+observed_tissue = partial(tissue_with_data, has_landmarks=False)
 
 GRIDS = [
     ((20, 26), (1, 1)),
@@ -36,26 +41,6 @@ def paired(values):
     ]
 
 
-def tensors(rng, grid, rank, strength, share=1.0):
-    """Return random tensors of a given rank at a share of the sites."""
-    axes = len(grid)
-    factors = rng.normal(size=(*grid, axes, rank))
-    made = strength * factors @ factors.swapaxes(-1, -2)
-    made[rng.random(grid) > share] = 0
-    return made
-
-
-def random_problem(rng, grid, spacing, precision, contrast=1.0, held=True):
-    """Return a problem with random observations, stiffness and void, perhaps with a held edge."""
-    y = rng.normal(size=(*grid, len(grid)))
-    c = np.zeros_like(y)
-    if held:
-        c[0] = 1
-    m = contrast ** rng.random(grid)
-    m[(slice(6, 8),) * len(grid)] = 0
-    return Problem(observed=y, confidence=c, stiffness=m, spacing=spacing, precision=precision)
-
-
 def largest_error(solution, problem, prior):
     far = np.abs(solution.displacement - posterior_mean(problem, prior))
     return float(far.max()) / problem.unit
@@ -67,8 +52,8 @@ def largest_error(solution, problem, prior):
 def test_data_of_any_strength_give_the_field_of_least_energy(grid, spacing, strength, rank):
     rng = np.random.default_rng(rank)
     for share in (1.0, 0.1):
-        data = tensors(rng, grid, rank, strength, share)
-        problem = random_problem(rng, grid, spacing, data, contrast=30.0)
+        data = random_tensors(rng, grid, rank, strength, share)
+        problem = observed_tissue(rng, grid, spacing, data, 30.0, is_held=True)
         prior = ElasticPrior(0.3)
         solution = solve(problem, prior, backend="cpu")
         assert largest_error(solution, problem, prior) <= 1e-3
@@ -77,8 +62,8 @@ def test_data_of_any_strength_give_the_field_of_least_energy(grid, spacing, stre
 
 def test_data_alone_hold_tissue_of_any_contrast():
     rng = np.random.default_rng(5)
-    data = tensors(rng, (24, 24), 2, 1.0, share=0.2)
-    problem = random_problem(rng, (24, 24), (1, 1), data, contrast=1e4, held=False)
+    data = random_tensors(rng, (24, 24), 2, share=0.2)
+    problem = observed_tissue(rng, (24, 24), (1, 1), data, 1e4, is_held=False)
     prior = ElasticPrior(0.45)
     assert largest_error(solve(problem, prior, backend="cpu"), problem, prior) <= 1e-3
 
@@ -120,7 +105,7 @@ def test_a_motion_that_meets_all_data_without_strain_has_no_energy():
 @pytest.mark.parametrize("axes", [2, 3])
 def test_the_energy_of_a_solution_is_that_of_its_strain_and_its_data(axes):
     rng, grid = np.random.default_rng(axes), (7, 6, 5)[:axes]
-    y, data = rng.normal(size=(*grid, axes)), tensors(rng, grid, axes, 3.0)
+    y, data = rng.normal(size=(*grid, axes)), random_tensors(rng, grid, axes, 3.0)
     problem, prior = (
         Problem(
             observed=y,
@@ -158,7 +143,7 @@ def test_strong_data_are_the_limit_of_a_prescribed_motion():
 def test_a_unit_of_stiffness_has_no_effect_if_precision_has_it_too(axes):
     rng = np.random.default_rng(1)
     grid = (14,) * axes
-    data = tensors(rng, grid, axes, 1.0)
+    data = random_tensors(rng, grid, axes)
     y = rng.normal(size=(*grid, axes))
     fields = [
         solve(
@@ -367,7 +352,7 @@ def test_data_that_leave_a_motion_free_are_refused():
 def test_problems_with_equal_tensors_share_them_unless_tissue_differs():
     none, m, hole = np.zeros((8, 8, 2)), np.ones((8, 8)), np.ones((8, 8))
     hole[3, 3] = 0
-    data = tensors(np.random.default_rng(0), (8, 8), 2, 1.0)
+    data = random_tensors(np.random.default_rng(0), (8, 8), 2)
     first = Problem(observed=none, confidence=none, stiffness=m, precision=data)
     assert (
         Problem(observed=none + 1, confidence=none, stiffness=m, precision=data).precision

@@ -21,8 +21,8 @@ from napari_hmrf.solver.volume_memory import ORDINARY
 from tests.support.cancel_flags import During
 from validation.oracles import calculix
 from validation.oracles.elasticity import direct_solution, grid_matrix
+from validation.problems import OBLONG, between_plates
 
-OBLONG = (1.0, 1.7, 0.6)
 PRECISE = Multigrid(1e-3)
 
 
@@ -32,10 +32,7 @@ def random(*shape, seed=0):
 
 def compressed_volume(m, spacing=(1.0, 1.0, 1.0), by=(1.0, 0.5, -0.3)):
     """Return tissue between a fixed plate and a plate moved by `by` voxels along each axis."""
-    y, c = np.zeros((*m.shape, 3)), np.zeros((*m.shape, 3))
-    c[0] = c[-1] = 1
-    y[-1] = np.array(by) * spacing
-    return Problem(observed=y, confidence=c, stiffness=m, spacing=spacing)
+    return between_plates(m, by, spacing)
 
 
 def random_stiffness(ratio, shape=(11, 10, 10), seed=0):
@@ -217,7 +214,7 @@ def test_the_number_of_threads_does_not_change_the_residual():
 # The field
 
 
-@pytest.mark.skipif(not calculix.is_there(), reason="CalculiX is not installed")
+@pytest.mark.skipif(not calculix.is_there(), reason=calculix.MISSING)
 @pytest.mark.parametrize("poisson", [0.3, 0.45])
 def test_the_reference_solution_matches_calculix_except_for_locking(poisson):
     problem = compressed_volume(random_stiffness(100, (6, 5, 4)), OBLONG)

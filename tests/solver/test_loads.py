@@ -452,7 +452,7 @@ def test_forces_use_the_units_of_stiffness_and_length():
     )
 
 
-@pytest.mark.skipif(not calculix.is_there(), reason="CalculiX is not installed")
+@pytest.mark.skipif(not calculix.is_there(), reason=calculix.MISSING)
 @pytest.mark.parametrize(("axes", "plane", "nu"), [(2, "stress", 0.3), (3, "strain", 0.0)])
 def test_growth_weight_and_pressure_agree_with_calculix(axes, plane, nu):
     case = studies.loaded_tissue((16, 8)[axes - 2], axes)
@@ -461,7 +461,7 @@ def test_growth_weight_and_pressure_agree_with_calculix(axes, plane, nu):
     assert unbalanced < 1e-6
 
 
-@pytest.mark.skipif(not calculix.is_there(), reason="CalculiX is not installed")
+@pytest.mark.skipif(not calculix.is_there(), reason=calculix.MISSING)
 @pytest.mark.parametrize(("axes", "plane", "nu"), [(2, "stress", 0.3), (3, "strain", 0.0)])
 @pytest.mark.parametrize("contents", ["nothing", "fluid, 60 %"])
 def test_tissue_without_a_removed_part_agrees_with_calculix(axes, plane, nu, contents):

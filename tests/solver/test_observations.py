@@ -2,44 +2,11 @@
 
 import numpy as np
 import pytest
-import scipy.sparse.linalg as spl
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, ProblemError, SeilerPrior, solve
 from napari_hmrf.data import phantom
 from validation.oracles.elasticity import direct_solution, stiffness_matrix
-
-
-def reference_solution(problem, prior):
-    """Return the minimiser of the elastic energy plus sum of p |y - d|, in float64.
-
-    Unobserved components are eliminated; the others are minimised exactly, one at a time.
-    """
-    matrix = stiffness_matrix(problem, prior) / float(problem.stiffness.max())
-    solid = matrix.diagonal() > 0
-    seen = (problem.confidence.ravel() > 0) & solid
-    free = ~seen & solid
-    inner = spl.splu(matrix[free][:, free].tocsc())
-    across = matrix[free][:, seen].toarray()
-    schur = matrix[seen][:, seen].toarray() - across.T @ inner.solve(across)
-    y = (problem.observed.astype(float) / problem.unit).ravel()[seen]
-    p = prior.limit(problem).ravel()[seen]
-    x = y.copy()
-    pull = schur @ x
-    for _ in range(20_000):
-        most = 0.0
-        for k in range(len(x)):
-            aim = x[k] - pull[k] / schur[k, k] - y[k]
-            target = y[k] + np.sign(aim) * max(abs(aim) - p[k] / schur[k, k], 0)
-            if target != x[k]:
-                pull += schur[:, k] * (target - x[k])
-                most = max(most, abs(target - x[k]))
-                x[k] = target
-        if most < 1e-7:
-            break
-    field = np.zeros(seen.size)
-    field[seen] = x
-    field[free] = -inner.solve(across @ x)
-    return field.reshape(*problem.shape, 2) * problem.unit
+from validation.oracles.exact import exact_field
 
 
 def uncertain_problem(seed=0, spacing=(1.0, 1.0)):
@@ -71,7 +38,7 @@ def uncertain_problem(seed=0, spacing=(1.0, 1.0)):
 def test_the_field_minimises_the_energy(penalty, spacing):
     problem, prior = uncertain_problem(spacing=spacing), ElasticPrior(0.4, penalty=penalty)
     found = solve(problem, prior, optimizer=Multigrid(1e-4))
-    expected = reference_solution(problem, prior)
+    expected = exact_field(problem, prior).displacement * problem.unit
     assert np.abs(found.displacement - expected).max() < 1e-3
     slipped = np.abs(expected - problem.observed)[problem.confidence > 0] > 1e-4
     assert 0.02 < slipped.mean() < 1  # otherwise the comparison shows nothing

@@ -5,10 +5,10 @@ module              reference
 ==================  ================================================================================
 `elasticity`        linear elasticity in images and volumes, with elements by scikit-fem
 `large_motion`      neo-Hookean tissue in images and volumes, by Newton's method
-`posterior`         data, landmarks, drift and sliding parts, by sparse and dense algebra
+`posterior`         data, landmarks and drift, by sparse and dense algebra
 `paper`             cliques, energies and fields of Seiler et al., and their algorithm move by move
 `exact`             fields of images in 32 digits, with observations that slip, for `make trust`
-`parts`             cavities and sliding parts of small problems, by a dense system
+`parts`             cavities and sliding parts, by direct solutions
 `calculix`          decks and fields of CalculiX, another program
 ==================  ================================================================================
 

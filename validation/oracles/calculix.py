@@ -36,8 +36,8 @@ Array = npt.NDArray[np.float64]
 Numbers = npt.NDArray[np.int64]
 ElementType = Literal["CPS3", "CPS4", "CPS4R", "CPE4", "C3D8"]
 
-#: Installation instruction for the report.
-HOW = "Debian and Ubuntu have it as `calculix-ccx`"
+#: Message for tests and studies that are skipped.
+MISSING = "CalculiX is not installed: Debian and Ubuntu have it as `calculix-ccx`"
 #: Number of load increments of large motion.
 PARTS = 5
 # Corners of an element in the order of CalculiX, and the corner numbers of its faces.
@@ -56,6 +56,13 @@ _TRIANGLES = (((0, 1, 2), (0, 1, 3)), ((0, 2, 3), (1, 2, 3)))
 def is_there() -> bool:
     """Return whether CalculiX is installed."""
     return shutil.which("ccx") is not None
+
+
+def is_missing() -> bool:
+    """Return whether CalculiX is not installed, and print how to install it."""
+    if not is_there():
+        print(MISSING)
+    return not is_there()
 
 
 class _Mesh(NamedTuple):

@@ -116,7 +116,11 @@ def lame_parameters(problem: Problem, prior: ElasticPrior) -> tuple[Array, Array
     nu = at_corners(ratios, axes).mean(axis=0)
     elastic = (m.min(axis=0) > 0) & (m.max(axis=0) < np.inf)
     young = np.where(elastic, np.where(elastic, m, 0.0).mean(axis=0), 0.0)
-    bulges = is_plane_stress(problem, prior)
+    return lame_of(young, nu, bulges=is_plane_stress(problem, prior))
+
+
+def lame_of(young: Array, nu: Array, *, bulges: bool) -> tuple[Array, Array]:
+    """Return lambda, in plane stress its plane counterpart, and mu of isotropic tissue."""
     shear = young / (2 * (1 + nu))
     return 2 * shear * nu / (1 - (nu if bulges else 2 * nu)), shear
 
@@ -203,20 +207,24 @@ def growth_of(problem: Problem) -> tuple[Array, Array]:
 
 
 def load_vector(problem: Problem, prior: ElasticPrior) -> Array:
-    """Return the forces of growth and the external forces of a problem, flattened.
+    """Return the forces of growth and the external forces of a problem, flattened."""
+    total = growth_load(problem, prior, *lame_parameters(problem, prior))
+    if problem.loads is not None and problem.loads.force is not None:
+        total += problem.loads.force.ravel()
+    return total
+
+
+def growth_load(problem: Problem, prior: ElasticPrior, first: Array, shear: Array) -> Array:
+    """Return the forces of growth of elements with given Lame parameters, flattened.
 
     The force of growth is that of the displacement of an element that has grown freely. In plane
     strain, growth perpendicular to the image presses on the slice.
     """
-    axes, loads = problem.stiffness.ndim, problem.loads
-    total = np.zeros(problem.observed.shape)
-    if loads is not None and loads.force is not None:
-        total += loads.force
-    if loads is not None and loads.growth is not None:
+    axes, total = problem.stiffness.ndim, np.zeros(problem.observed.shape)
+    if problem.loads is not None and problem.loads.growth is not None:
         strain, across = growth_of(problem)
         if is_plane_stress(problem, prior):
             across = 0 * across
-        first, shear = lame_parameters(problem, prior)
         volume, shape = element_matrices(tuple(map(float, problem.spacing)), full=True)
         corners = np.array(corners_of(axes)) * problem.spacing
         moved = np.einsum("...kl,cl->...ck", strain, corners)

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from itertools import product
+from typing import Any
 
 import numba
 import numpy as np
@@ -72,9 +73,8 @@ def _on_face(sizes: Array, i: int, j: int) -> float:
     return float(3 / max(sizes[i], sizes[j]) - 2 / sizes.max())
 
 
-def cliques(problem: Problem) -> Iterator[Cliques]:
-    """Yield the cliques of each line."""
-    m = problem.stiffness
+def cliques(m: npt.NDArray[Any], spacing: tuple[float, ...]) -> Iterator[Cliques]:
+    """Yield the cliques of each line of tissue with stiffness (H, W) or (D, H, W)."""
     number = np.arange(m.size).reshape(m.shape)
     for step in product((-1, 0, 1), repeat=m.ndim):
         if step <= (0,) * m.ndim:
@@ -89,7 +89,7 @@ def cliques(problem: Problem) -> Iterator[Cliques]:
             for side in (-1, 0, 1)
         )
         exist = (m.flat[s] > 0) & (m.flat[t] > 0) & (m.flat[u] > 0)
-        yield s[exist], t[exist], u[exist], line_weights(step, problem.spacing)
+        yield s[exist], t[exist], u[exist], line_weights(step, spacing)
 
 
 def _potentials(problem: Problem, d: Array, some: Cliques) -> Array:
@@ -104,7 +104,8 @@ def _potentials(problem: Problem, d: Array, some: Cliques) -> Array:
 def total_energy(problem: Problem, d: Array, penalty: float) -> float:
     """Return U_total (eq. 7) of a displacement, as a sum over the cliques."""
     d = np.asarray(d, np.float64) / problem.unit
-    energy = sum(_potentials(problem, d, some).sum() for some in cliques(problem))
+    every = cliques(problem.stiffness, problem.spacing)
+    energy = sum(_potentials(problem, d, some).sum() for some in every)
     held = problem.tissue[..., None] * penalty * problem.confidence.astype(np.float64)
     return float(energy + (held * np.abs(problem.observed / problem.unit - d)).sum())
 
@@ -119,7 +120,7 @@ def local_energy(
     """
     at = np.ravel_multi_index(site, problem.shape)
     mine = []
-    for s, t, u, weights in cliques(problem):
+    for s, t, u, weights in cliques(problem.stiffness, problem.spacing):
         own = (t == at) | (blanket & ((s == at) | (u == at)))
         mine.append((s[own], t[own], u[own], weights))
     confidence = problem.confidence[site].astype(np.float64)
@@ -134,30 +135,39 @@ def local_energy(
     return energy
 
 
-def _residuals(problem: Problem, component: int) -> tuple[sp.csr_array, sp.csr_array]:
-    """Return the squared terms of all cliques as rows over the sites, and their part at t."""
-    m = problem.stiffness.astype(np.float64).ravel()
-    parts = []
-    for s, t, u, weights in cliques(problem):
-        scale = np.full(len(t), np.sqrt(weights[component]))
-        to_s, to_u = m[t] / m[s], m[t] / m[u]
-        parts.append((s, t, u, -to_u * scale, (1 + to_u) * scale, -scale))
-        parts.append((s, t, u, -scale, (1 + to_s) * scale, -to_s * scale))
-    s, t, u, at_s, at_t, at_u = (np.concatenate(each) for each in zip(*parts, strict=True))
-    row, shape = np.arange(len(t)), (len(t), m.size)
-    middle = sp.csr_array((at_t, (row, t)), shape=shape)
-    ends = np.concatenate([at_s, at_u]), (np.tile(row, 2), np.concatenate([s, u]))
-    return middle + sp.csr_array(ends, shape=shape), middle
+def equations(
+    stiffness: npt.NDArray[Any], spacing: tuple[float, ...], reading: str
+) -> sp.csr_array:
+    """Return the matrix of the equations of all components, in flattened order.
 
+    Its product with a displacement in pixels is 0 at sites that are at the minimum of their local
+    energy, without observations. In the blanket reading, it is half of the matrix of second
+    derivatives of eq. 7.
 
-def residual_matrix(problem: Problem) -> sp.csr_array:
-    """Return the squared terms of all cliques as rows over all components, in flattened order.
-
-    The energy of a displacement in pixels, without observations, is the sum of their squares.
+    Parameters
+    ----------
+    stiffness : ndarray, shape (H, W) or (D, H, W)
+    spacing : tuple of float
+    reading : {"centred", "blanket"}
     """
-    axes = problem.stiffness.ndim
-    parts = [sp.kron(_residuals(problem, k)[0], np.eye(axes)[[k]]) for k in range(axes)]
-    return sp.csr_array(sp.vstack(parts))
+    axes, m = stiffness.ndim, stiffness.astype(np.float64).ravel()
+    matrix = sp.csr_array((m.size * axes,) * 2)
+    for component in range(axes):
+        parts = []
+        for s, t, u, weights in cliques(stiffness, spacing):
+            scale = np.full(len(t), np.sqrt(weights[component]))
+            to_s, to_u = m[t] / m[s], m[t] / m[u]
+            parts.append((s, t, u, -to_u * scale, (1 + to_u) * scale, -scale))
+            parts.append((s, t, u, -scale, (1 + to_s) * scale, -to_s * scale))
+        s, t, u, at_s, at_t, at_u = (np.concatenate(each) for each in zip(*parts, strict=True))
+        row, shape = np.arange(len(t)), (len(t), m.size)
+        middle = sp.csr_array((at_t, (row, t)), shape=shape)
+        ends = np.concatenate([at_s, at_u]), (np.tile(row, 2), np.concatenate([s, u]))
+        # The energy is the sum of the squares of the residuals.
+        residual = middle + sp.csr_array(ends, shape=shape)
+        own = (middle if reading == "centred" else residual).T @ residual
+        matrix += sp.kron(own, np.diag(np.arange(axes) == component))
+    return sp.csr_array(matrix)
 
 
 @followed(lambda reading: SeilerPrior(conditional=reading))
@@ -177,18 +187,12 @@ def solve_exactly(problem: Problem, reading: str) -> Array:
     ndarray, shape (H, W, 2) or (D, H, W, 3)
         Displacement, in the unit of ``problem.spacing``.
     """
-    axes = problem.stiffness.ndim
-    field = np.where(problem.known, problem.observed, 0).astype(np.float64)
-    for component in range(axes):
-        residual, middle = _residuals(problem, component)
-        matrix = sp.csr_array((middle if reading == "centred" else residual).T @ residual)
-        free = ~problem.known[..., component].ravel() & (matrix.diagonal() > 0)
-        values = field[..., component].ravel()
-        if free.any():
-            right = -(matrix[free][:, ~free] @ values[~free])
-            values[free] = spl.spsolve(matrix[free][:, free].tocsc(), right)
-        field[..., component] = values.reshape(problem.shape)
-    return field
+    matrix, held = equations(problem.stiffness, problem.spacing, reading), problem.known.ravel()
+    field = np.where(held, problem.observed.ravel(), 0).astype(np.float64)
+    free = ~held & (matrix.diagonal() > 0)
+    if free.any():
+        field[free] = spl.spsolve(matrix[free][:, free].tocsc(), -(matrix @ field)[free])
+    return field.reshape(problem.observed.shape)
 
 
 # The literal algorithm.

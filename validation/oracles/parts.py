@@ -1,23 +1,36 @@
-"""Cavities and sliding parts: forces of contents, and a dense system in double precision.
+"""Cavities and sliding parts: forces of contents, and fields of parts by direct solutions.
 
-scikit-fem integrates the matrix of one element. Loops over elements, faces and pairs of sites,
-which share no code with the package, add elements, weight, cavity loads and the coupling of parts.
-Only the fitted normals of an interface are taken from the package.
+Each part has a displacement of its own at all sites. An element with sites of several parts exists
+once in the field of each, with the share of the stiffness of its own sites. `elasticity` adds the
+elements of a part. Loops over faces and pairs of sites, which share no code with the package, add
+weight, cavity loads and the coupling of parts. Only the fitted normals of an interface are taken
+from the package.
 """
 
 from __future__ import annotations
 
 import itertools
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import scipy.linalg
+import scipy.sparse as sp
+import scipy.sparse.linalg as spl
 
 from napari_hmrf import ElasticPrior, Problem
+from napari_hmrf.loads import Loads
 from napari_hmrf.solver.interface_normals import interface_normals
-from validation.oracles.elasticity import element_matrices
+from napari_hmrf.solver.problem import variant_of
+from validation.oracles.elasticity import (
+    at_corners,
+    grid_matrix,
+    growth_load,
+    is_plane_stress,
+    lame_of,
+)
+from validation.oracles.posterior import with_data
 
 if TYPE_CHECKING:
     from validation.problems import Contents
@@ -28,14 +41,6 @@ Sites = npt.NDArray[np.intp]
 
 #: Least eigenvalue, of the matrix with a diagonal of 1, up to which it yields no correct digits.
 UNRESOLVED = 1e-13
-
-
-def _lame(young: float, nu: float, bulges: bool) -> tuple[float, float]:
-    """Return the first Lame parameter, in plane stress its plane counterpart, and the shear."""
-    shear = young / (2 * (1 + nu))
-    if bulges:
-        return young * nu / (1 - nu**2), shear
-    return young * nu / ((1 + nu) * (1 - 2 * nu)), shear
 
 
 def forces_of(contents: Contents, m: npt.NDArray[Any], spacing: tuple[float, ...]) -> Array:
@@ -93,18 +98,111 @@ def forces_of(contents: Contents, m: npt.NDArray[Any], spacing: tuple[float, ...
     return force
 
 
+class _Parts(NamedTuple):
+    """Linear system of the fields of all parts.
+
+    Attributes
+    ----------
+    matrix : csr_array, shape (free, free)
+    right : ndarray, shape (free,)
+    free : ndarray of bool, shape (n,)
+        Mask of the unknown components of the fields, which are stored one after the other.
+    start : ndarray, shape (n,)
+        Prescribed displacement; 0 elsewhere.
+    own : csr_array, shape (n, components of the image)
+        1 for each component of the image in the field of the part that owns its site.
+    problem : Problem
+    """
+
+    matrix: sp.csr_array
+    right: Array
+    free: Flags
+    start: Array
+    own: sp.csr_array
+    problem: Problem
+
+    def image(self, solution: Array) -> Array:
+        """Return the displacement of the image from the unknown components; 0 in void."""
+        fields = self.start.copy()
+        fields[self.free] = solution
+        return np.asarray(self.own.T @ fields).reshape(self.problem.observed.shape)
+
+
+def _assembled(
+    problem: Problem, prior: ElasticPrior, force: Array | None, tilt: float, number: int
+) -> _Parts:
+    """Return the system of all parts; for the parameters see `dense_solution`."""
+    m, axes = problem.stiffness.astype(np.float64), problem.stiffness.ndim
+    labels = np.zeros(m.shape, np.int32) if problem.sliding is None else problem.sliding.labels
+    owner = np.full(m.shape, -1)
+    owner[m > 0] = np.unique(labels[m > 0], return_inverse=True)[1]
+    count = int(owner.max()) + 1
+    blocks, loads = zip(
+        *(_elements(problem, prior, owner, part) for part in range(count)), strict=True
+    )
+    elastic = sp.block_diag(blocks, format="csr")
+    moves = elastic.diagonal() > 0
+    at = np.flatnonzero(owner >= 0)
+    place = (owner.flat[at] * m.size + at)[:, None] * axes + np.arange(axes)
+    component = at[:, None] * axes + np.arange(axes)
+    own = sp.csr_array(
+        (np.ones(place.size), (place.ravel(), component.ravel())),
+        shape=(count * m.size * axes, m.size * axes),
+    )
+    if force is None and problem.loads is not None:
+        force = problem.loads.force
+    push = np.zeros(problem.observed.size) if force is None else np.ravel(force).astype(np.float64)
+    data, push = with_data(problem, sp.csr_array((push.size, push.size)), push)
+    in_elements = moves.reshape(count, *m.shape, axes)[..., 0]
+    gaps, strength = _gaps(problem, owner, in_elements, tilt, number)
+    matrix = (elastic + own @ data @ own.T + gaps.T @ sp.diags_array(strength) @ gaps).tocsr()
+    start = own @ np.where(problem.known, problem.observed, 0.0).ravel()
+    free = moves & ~(own @ problem.known.ravel().astype(np.float64) > 0)
+    right = np.concatenate(loads) + own @ push - matrix @ start
+    return _Parts(matrix[free][:, free], right[free], free, start, own, problem)
+
+
+def _elements(
+    problem: Problem, prior: ElasticPrior, owner: Sites, part: int
+) -> tuple[sp.bsr_array, Array]:
+    """Return the matrix and the forces of growth of the elements of a part."""
+    m, own = problem.stiffness.astype(np.float64), owner == part
+    axes, full = m.ndim, is_plane_stress(problem, prior)
+    exist = at_corners(owner >= 0, axes).all(axis=0)
+    young = np.where(exist, at_corners(np.where(own, m, 0.0), axes).mean(axis=0), 0.0)
+    nu = np.broadcast_to(np.asarray(prior.poisson, np.float64), m.shape)
+    ratio = at_corners(_extended(nu, own), axes).mean(axis=0)
+    lame = lame_of(young, ratio, bulges=full)
+    if problem.loads is not None and problem.loads.growth is not None:
+        grown = _extended(problem.loads.growth, own)
+        problem = variant_of(problem, loads=Loads(growth=grown))
+    return grid_matrix(problem.spacing, *lame, full=full), growth_load(problem, prior, *lame)
+
+
+def sliding_field(problem: Problem, prior: ElasticPrior) -> Array:
+    """Return the field of least energy of a problem with sliding parts, by sparse algebra.
+
+    Returns
+    -------
+    ndarray, shape (H, W, 2) or (D, H, W, 3)
+        Displacement, in the unit of ``problem.spacing``; 0 in void.
+    """
+    system = _assembled(problem, prior, None, 0.0, 0)
+    return system.image(spl.spsolve(system.matrix.tocsc(), system.right))
+
+
 def dense_solution(
     problem: Problem, prior: ElasticPrior, force: Array | None, tilt: float = 0.0, number: int = 0
 ) -> tuple[Array, float]:
-    """Return the field of a dense system and its least eigenvalue, for a diagonal of 1.
+    """Return the field of a small problem, and the least eigenvalue for a diagonal of 1.
 
     Parameters
     ----------
     problem : Problem
         Problem whose observations, all in or beside elements, are prescribed.
     prior : ElasticPrior
-    force : ndarray, shape (H, W, 2) or (D, H, W, 3), optional
-        Force at each site, in place of the loads of the problem.
+    force : ndarray, shape (H, W, 2) or (D, H, W, 3), or None
+        Force at each site, in place of the forces of the problem.
     tilt : float
         Standard deviation of a random tilt of the normals of interfaces, in degrees.
     number : int
@@ -113,108 +211,80 @@ def dense_solution(
     Returns
     -------
     displacement : ndarray, shape (H, W, 2) or (D, H, W, 3)
-        Displacement in pixels; nan if the system cannot be solved in double precision.
+        Displacement, in the unit of ``problem.spacing``; nan if the system cannot be solved in
+        double precision.
     least : float
     """
-    m, axes = problem.stiffness.astype(np.float64), problem.stiffness.ndim
-    grid, tissue, held = m.shape, m > 0, problem.known
-    sites = np.arange(m.size).reshape(grid)
-    corners = np.array(list(itertools.product((0, 1), repeat=axes)))
-    firsts = np.argwhere(np.ones([side - 1 for side in grid], np.bool_))
-    around = sites[tuple(np.moveaxis(firsts[:, None] + corners, -1, 0))]
-    around = around[tissue.ravel()[around].all(axis=1)]
-    labels = np.zeros(grid, np.int32) if problem.sliding is None else problem.sliding.labels
-    parts = np.unique(labels[tissue])
-    owner = np.full(m.size, -1)
-    for part, label in enumerate(parts):
-        owner[(tissue & (labels == label)).ravel()] = part
-    full = axes == 2 and prior.plane == "stress"
-    volume, shear = (
-        each.reshape(axes * 2**axes, -1) for each in element_matrices(problem.spacing, full=full)
-    )
-    node = np.full((len(parts), m.size), -1)
-    for part in range(len(parts)):
-        for element in around:
-            if (owner[element] == part).any():
-                node[part, element] = 0
-    node[node == 0] = np.arange(np.count_nonzero(node == 0))
-    size = axes * (int(node.max()) + 1)
-    matrix, load = np.zeros((size, size)), np.zeros(size)
-    nu = np.broadcast_to(np.asarray(prior.poisson, np.float64), grid)
-    for part in range(len(parts)):
-        ratios = _extended(nu, (owner == part).reshape(grid))
-        for element in around:
-            own = owner[element] == part
-            if own.any():
-                young = float(m.ravel()[element][own].sum() / len(element))
-                both = _lame(young, float(ratios[element].mean()), full)
-                dofs = (axes * node[part, element][:, None] + np.arange(axes)).ravel()
-                matrix[np.ix_(dofs, dofs)] += both[0] * volume + both[1] * shear
-    for first, second, normal, strength in _pairs(problem, owner.reshape(grid), node, tilt, number):
-        dofs = np.concatenate([axes * first + np.arange(axes), axes * second + np.arange(axes)])
-        gap = np.concatenate([normal, -normal])
-        matrix[np.ix_(dofs, dofs)] += strength * np.outer(gap, gap)
-    fixed, values = np.zeros(size, np.bool_), np.zeros(size)
-    at = np.flatnonzero(owner >= 0)
-    at = at[node[owner[at], at] >= 0]
-    mine = axes * node[owner[at], at][:, None] + np.arange(axes)
-    if force is not None:
-        load[mine] = force.reshape(-1, axes)[at]
-    fixed[mine] = held.reshape(-1, axes)[at]
-    given = problem.observed.astype(np.float64).reshape(-1, axes)
-    values[mine] = np.where(fixed[mine], given[at], 0.0)
-    free = ~fixed
-    right = (load - matrix @ values)[free]
-    inner = matrix[np.ix_(free, free)]
-    least = 1.0
-    if len(inner):
-        root = np.sqrt(np.diag(inner))
-        inner = inner / root[:, None] / root
-        least = float(scipy.linalg.eigvalsh(inner, subset_by_index=[0, 0])[0])
-        if not right.any():
-            values[free] = 0.0  # nothing drives the tissue, even if nothing holds it
-        elif least > UNRESOLVED:
-            values[free] = np.linalg.solve(inner, right / root) / root
-        else:
-            values[free] = np.nan
-    field = np.where(held.reshape(-1, axes), given, 0.0)
-    field[at] = values[mine]
-    return field.reshape(problem.observed.shape) / problem.unit, least
+    system = _assembled(problem, prior, force, tilt, number)
+    if not len(system.right):
+        return system.image(system.right), 1.0
+    inner = system.matrix.toarray()
+    root = np.sqrt(np.diag(inner))
+    inner = inner / root[:, None] / root
+    least = float(scipy.linalg.eigvalsh(inner, subset_by_index=[0, 0])[0])
+    if not system.right.any():
+        solution = 0 * system.right  # nothing drives the tissue, even if nothing holds it
+    elif least > UNRESOLVED:
+        solution = np.linalg.solve(inner, system.right / root) / root
+    else:
+        solution = np.full(len(root), np.nan)
+    return system.image(solution), least
 
 
-def _extended(values: Array, own: Flags) -> Array:
-    """Return values of a part's sites, flattened; other sites have the mean of those around."""
-    found = np.where(own, values, 0.0)
+def _extended(values: npt.NDArray[Any], own: Flags) -> Array:
+    """Return values of a part's sites; other sites have the mean of those around."""
+    found = np.zeros(values.shape)
+    found[own] = values[own]
     for at in np.argwhere(~own):
         near = tuple(slice(max(i - 1, 0), i + 2) for i in at)
         if own[near].any():
-            found[tuple(at)] = values[near][own[near]].mean()
-    return found.ravel()
+            found[tuple(at)] = values[near][own[near]].mean(axis=0)
+    return found
 
 
-def _pairs(
-    problem: Problem, owner: Sites, node: Sites, tilt: float, number: int
-) -> list[tuple[int, int, Array, float]]:
-    """Return the two nodes, the normal and the strength of each connection between parts."""
-    axes, m = problem.stiffness.ndim, problem.stiffness.astype(np.float64)
+def _gaps(
+    problem: Problem, owner: Sites, in_elements: Flags, tilt: float, number: int
+) -> tuple[sp.csr_array, Array]:
+    """Return the gap of each connection between parts along its normal, and its strength.
+
+    Parameters
+    ----------
+    problem : Problem
+    owner : ndarray of int, shape (H, W) or (D, H, W)
+        Number of the part of each site; -1 in void.
+    in_elements : ndarray of bool, shape (parts, H, W) or (parts, D, H, W)
+        Mask of the sites of the elements of each part.
+    tilt, number : float, int
+        As for `dense_solution`.
+
+    Returns
+    -------
+    gaps : csr_array, shape (connections, components of all fields)
+    strength : ndarray, shape (connections,)
+    """
+    axes, m = owner.ndim, problem.stiffness.astype(np.float64)
+    relative = 0.0 if problem.sliding is None else problem.sliding.strength
     dice = np.random.default_rng(number)
-    found = []
-    for one, two in itertools.combinations(range(len(node)), 2):
-        at, pairs, strengths = [], [], []
+    pairs, ways, strengths = [], [], []
+    for one, two in itertools.combinations(range(len(in_elements)), 2):
+        at = []
         for copied, home in ((one, two), (two, one)):
-            for site in np.argwhere(owner == home):
+            for site in np.argwhere((owner == home) & in_elements[copied]):
                 flat = int(np.ravel_multi_index(tuple(site), owner.shape))
-                if node[copied, flat] < 0:
-                    continue
                 near = tuple(slice(max(i - 1, 0), i + 2) for i in site)
                 soft = min(float(m[near][owner[near] == part].max()) for part in (one, two))
                 at.append(site)
-                pairs.append((int(node[home, flat]), int(node[copied, flat])))
-                strengths.append(100.0 * soft * problem.unit ** (axes - 2))
+                pairs.append((home * owner.size + flat, copied * owner.size + flat))
+                strengths.append(relative * soft * problem.unit ** (axes - 2))
         if at:
             normals = interface_normals(owner == one, owner == two, np.array(at), problem.spacing)
             normals = normals + math.radians(tilt) * dice.normal(size=normals.shape)
-            normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-            for pair, normal, strength in zip(pairs, normals, strengths, strict=True):
-                found.append((*pair, normal, strength))
-    return found
+            ways.append(normals / np.linalg.norm(normals, axis=1, keepdims=True))
+    shape = (len(pairs), in_elements.size * axes)
+    if not pairs:
+        return sp.csr_array(shape), np.zeros(0)
+    columns = (axes * np.array(pairs)[..., None] + np.arange(axes)).ravel()
+    normals = np.concatenate(ways)
+    entries = np.stack([normals, -normals], axis=1).ravel()
+    rows = np.repeat(np.arange(len(pairs)), 2 * axes)
+    return sp.csr_array((entries, (rows, columns)), shape=shape), np.array(strengths)

@@ -1,7 +1,7 @@
 """Tissue with terms of data: posterior means and covariances by sparse and dense algebra.
 
-The energy of linear elastic tissue, and the terms of a precision, of landmarks with a drift, and of
-parts that slide, are quadratic. Their matrices are summed, and the sum is solved directly.
+The energy of linear elastic tissue, and the terms of a precision and of landmarks with a drift are
+quadratic. Their matrices are summed, and the sum is solved directly.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 
-from napari_hmrf.solver.unfolded import unfolded
 from validation.oracles import followed
 from validation.oracles.elasticity import load_vector, stiffness_matrix
 
@@ -48,23 +47,16 @@ def with_data(problem, matrix, load) -> tuple[sp.csr_array, np.ndarray]:
     return matrix.tocsr(), load
 
 
-def _least_energy(problem, matrix, load, moves) -> np.ndarray:
-    """Return the field of least energy of a matrix and a load; prescribed where c = 1.
-
-    `moves` is the mask of components with an elastic energy.
-    """
-    held = problem.confidence.ravel() == 1
-    field, free = np.where(held, problem.observed.astype(float).ravel(), 0.0), ~held & moves
-    field[free] = spl.spsolve(matrix[free][:, free].tocsc(), (load - matrix @ field)[free])
-    return field.reshape(problem.observed.shape)
-
-
 @followed(lambda prior: prior)
 def posterior_mean(problem, prior) -> np.ndarray:
     """Return the field of least energy, in the unit of the problem; prescribed where c = 1."""
     elastic = stiffness_matrix(problem, prior)
     matrix, load = with_data(problem, elastic, load_vector(problem, prior))
-    return _least_energy(problem, matrix, load, elastic.diagonal() > 0)
+    held = problem.confidence.ravel() == 1
+    free = ~held & (elastic.diagonal() > 0)
+    field = np.where(held, problem.observed.astype(float).ravel(), 0.0)
+    field[free] = spl.spsolve(matrix[free][:, free].tocsc(), (load - matrix @ field)[free])
+    return field.reshape(problem.observed.shape)
 
 
 def posterior_mean_with_drift(problem, prior) -> tuple[np.ndarray, np.ndarray]:
@@ -135,25 +127,3 @@ def data_covariance(problem, prior, scale, rows) -> tuple[np.ndarray, np.ndarray
     seen = combinations.T @ seen[:, stores]
     energy = scale.energy(problem.stiffness, problem.spacing)
     return combinations, energy * (seen / sizes[stores]) @ seen.T
-
-
-def sliding_field(problem, prior) -> np.ndarray:
-    """Return the field of least energy of a problem with sliding parts, in its unit of length."""
-    parts, of_parts = unfolded(problem, prior)
-    between, axes = parts.coupling, len(problem.shape)
-    pairs = np.arange(len(between.first))
-    rows = np.repeat(pairs, axes)
-    gaps = sum(
-        sp.coo_array(
-            (
-                (sign * between.normals).ravel(),
-                (rows, (axes * at[:, None] + np.arange(axes)).ravel()),
-            ),
-            shape=(len(pairs), parts.observed.size),
-        )
-        for sign, at in ((1, between.first), (-1, between.second))
-    ).tocsr()
-    elastic = stiffness_matrix(parts, of_parts)
-    matrix, load = with_data(parts, elastic, load_vector(parts, of_parts))
-    matrix = (matrix + gaps.T @ sp.diags_array(between.strength) @ gaps).tocsr()
-    return between.folded(_least_energy(parts, matrix, load, elastic.diagonal() > 0))

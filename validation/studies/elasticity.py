@@ -16,6 +16,7 @@ from napari_hmrf.solver.priors.elastic import Plane
 from validation.oracles import calculix
 from validation.oracles.elasticity import direct_solution
 from validation.oracles.paper import solve_exactly
+from validation.problems import OBLONG, random_block
 from validation.studies.paper import PHANTOMS, bar_strain_ratio
 from validation.study import (
     COLOURS,
@@ -33,7 +34,6 @@ from validation.study import (
 
 Float64Array = npt.NDArray[np.float64]
 POISSON = 0.3
-OBLONG = (1.0, 1.7, 0.6)
 #: Largest RMSD from a direct solve of the same energy, and from another program, in pixels.
 SAME_ENERGY, OTHER_PROGRAM = 0.005, 0.01
 #: Largest error of a patch test, in pixels.
@@ -124,13 +124,11 @@ def compare_fields(problem: Problem) -> Fields:
         "elastic prior": _solved(problem, prior, 0.01).displacement,
         "the paper's prior, converged": paper,
     }
-    if calculix.is_there():
+    if not calculix.is_missing():
         book = calculix.textbook_plane_stress(problem, POISSON)
         fields["CalculiX, textbook plane stress"] = book
         for element in ("CPS4", "CPS4R", "CPS3"):
             fields[f"CalculiX, {element}"] = calculix.solve(problem, element, POISSON)
-    else:
-        print(f"CalculiX is not installed: {calculix.HOW}")
     apart = rmsd(paper, solve_exactly(problem, "centred"), problem.tissue)
     return Fields(fields, direct_solution(problem, prior), problem.tissue, apart)
 
@@ -413,15 +411,6 @@ def separate_errors(cases: list[tuple[int, Exact]]) -> dict[int, tuple[float, ..
 # Volumes.
 
 
-def mixed(size: int) -> Problem:
-    """Return voxels of random stiffness, with a contrast of 100, between two plates."""
-    shape = (size, size, size)
-    y, c = np.zeros((*shape, 3)), np.zeros((*shape, 3))
-    c[[0, -1]], y[-1] = 1, np.array((1.0, 0.5, -0.3)) * OBLONG
-    m = 100 ** np.random.default_rng(0).random(shape)
-    return Problem(observed=y, confidence=c, stiffness=m, spacing=OBLONG)
-
-
 def _volume_targets(results: Results) -> Iterator[Target]:
     bounds = {
         "volume to a direct solve: largest error in voxels": 1e-3,
@@ -451,14 +440,13 @@ def volume_errors(case: tuple[Callable[[Any], Any], Any]) -> list[Any]:
 
 
 def _to_elements(size: int) -> Iterator[list[Any]]:
-    problem, prior = mixed(size), ElasticPrior(POISSON)
+    problem, prior = random_block(size, 100.0, (1.0, 0.5, -0.3)), ElasticPrior(POISSON)
     direct = direct_solution(problem, prior)
     found = _solved(problem, prior, 1e-3)
     off = _apart(found.displacement, direct, problem)
     claim = "volume to a direct solve: largest error in voxels"
     yield [claim, f"{off:.3g}", found.iterations]
-    if not calculix.is_there():
-        print(f"CalculiX is not installed: {calculix.HOW}")
+    if calculix.is_missing():
         return
     locking = direct_solution(problem, prior, locking=True)
     theirs = calculix.solve(problem, "C3D8", POISSON)
@@ -508,8 +496,7 @@ def hollow_sphere(size: int) -> float:
         observed=exact, confidence=c, stiffness=tissue.astype(float), spacing=(2 / size,) * 3
     )
     found = _solved(problem, ElasticPrior(POISSON), 1e-4)
-    off = (found.displacement - exact)[tissue & ~skins]
-    return float(np.sqrt((off**2).sum(axis=-1).mean()))
+    return rmsd(found.displacement, exact, tissue & ~skins)
 
 
 def _apart(one: npt.ArrayLike, other: npt.ArrayLike, problem: Problem) -> float:

@@ -35,6 +35,7 @@ from napari_hmrf.field.inverse_field import inverse_displacement
 from napari_hmrf.field.moved_points import moved_points
 from napari_hmrf.landmarks import Landmarks, StrainScale, spline
 from napari_hmrf.tissue import edge_confidence
+from validation.studies.registration import as_itk, displacement_of
 from validation.study import Options, Results, Table, study
 
 Points = npt.NDArray[np.float64]
@@ -104,12 +105,11 @@ def _elastic_field(points: Array, shifts: Array, places: Array, tissue: Array) -
     The typical strain is selected with every fifth landmark left out.
     """
     rest = shifts - _affine_field(points, shifts, points)
-    none = np.zeros((*tissue.shape, tissue.ndim), np.float32)
 
     def at(known: Array, x: Array, strain: float) -> Array:
         scale = StrainScale(strain)
         marks = Landmarks(points[known], (points + rest)[known], sd=_SD, scale=scale)
-        problem = Problem(observed=none, confidence=none, stiffness=tissue, landmarks=marks)
+        problem = _landmarked(tissue, marks)
         return np.asarray(solve(problem, ElasticPrior(0.0), backend="cpu").at(x, extend=True))
 
     left_out = np.arange(len(points)) % 5 == 0
@@ -119,6 +119,18 @@ def _elastic_field(points: Array, shifts: Array, places: Array, tissue: Array) -
 
     field = at(np.ones(len(points), bool), places, min(_TYPICAL_STRAINS, key=score))
     return np.asarray(_affine_field(points, shifts, places) + field)
+
+
+def _landmarked(tissue: Array, marks: Landmarks, side: float = 1.0) -> Problem:
+    """Return tissue that only landmarks move; `side` is the size of its pixels."""
+    none = np.zeros((*tissue.shape, tissue.ndim), np.float32)
+    return Problem(
+        observed=none,
+        confidence=none,
+        stiffness=tissue,
+        spacing=(side,) * tissue.ndim,
+        landmarks=marks,
+    )
 
 
 def _spline_field(points: Array, shifts: Array, places: Array, tissue: Array) -> Array:
@@ -294,15 +306,7 @@ class _Uncertain:
         points = _inside_field(at, self._shape)
         rest = (to - straight(at)) / _STEP
         marks = Landmarks(points, points + rest, sd=_NOISE, scale=self._scale)
-        none, spacing = np.zeros((*self._shape, 2)), (_STEP, _STEP)
-        problem = Problem(
-            observed=none,
-            confidence=none,
-            stiffness=np.ones(self._shape),
-            spacing=spacing,
-            landmarks=marks,
-        )
-        optimizer = Multigrid(_NEAR)
+        problem, optimizer = _landmarked(np.ones(self._shape), marks, _STEP), Multigrid(_NEAR)
         solution = solve(problem, ElasticPrior(0.3), optimizer=optimizer, initial=self._before)
         self._before = solution
         return lambda x: straight(x) + solution.at(_inside_field(x, self._shape))
@@ -397,9 +401,7 @@ def _registered(fixed: npt.NDArray[Any], moving: npt.NDArray[Any]) -> npt.NDArra
     demons = sitk.SymmetricForcesDemonsRegistrationFilter()
     demons.SetNumberOfIterations(200)
     demons.SetStandardDeviations(3.0)
-    one, other = (sitk.GetImageFromArray(picture.astype(np.float32)) for picture in (fixed, moving))
-    field: npt.NDArray[Any] = sitk.GetArrayFromImage(demons.Execute(one, other))[..., ::-1]
-    return field
+    return displacement_of(demons.Execute(*as_itk(fixed, moving)))
 
 
 def _followed(fixed: npt.NDArray[Any], field: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -20,7 +20,7 @@ from napari_hmrf.loads import Loads, growth, weight
 from napari_hmrf.solver.priors.elastic import Plane
 from validation.oracles import calculix
 from validation.oracles.large_motion import large_field
-from validation.problems import bar, turned
+from validation.problems import bar, between_plates, turned
 from validation.study import Options, Results, Table, study
 
 Field = npt.NDArray[np.float64]
@@ -88,17 +88,13 @@ def _loaded(size: int) -> dict[str, Problem]:
 def volumes(options: Options) -> dict[str, Large]:
     """Return cubes of two tissues that are pulled and sheared."""
     size = options.sizes_or((16,), (8,))[0]
-    y, c = np.zeros((2, size, size, size, 3))
-    c[0] = c[-1] = 1
     m = np.ones((size, size, size))
     m[:, : size // 2] = 5
-    cases = {}
-    for name, axis in (("pulled by 20 %", 0), ("sheared by 20 %", 1)):
-        moved = y.copy()
-        moved[-1, ..., axis] = 0.2 * size
-        problem = Problem(observed=moved, confidence=c, stiffness=m)
-        cases[name] = Large(name, problem, ("stress",), 4, "{:.5f} voxel")
-    return cases
+    ends = {"pulled by 20 %": (0.2 * size, 0.0, 0.0), "sheared by 20 %": (0.0, 0.2 * size, 0.0)}
+    return {
+        name: Large(name, between_plates(m, end), ("stress",), 4, "{:.5f} voxel")
+        for name, end in ends.items()
+    }
 
 
 @study("large-volumes.exact", volumes, ("case", "largest difference"), page="large-volumes.md")
@@ -152,8 +148,7 @@ _OTHERS = (
 
 def blocks(options: Options) -> Iterator[tuple[str, tuple[Any, tuple[int, int]]]]:
     """Yield blocks in large motion, if CalculiX is installed."""
-    if not calculix.is_there():
-        print(f"CalculiX is not installed: {calculix.HOW}")
+    if calculix.is_missing():
         return
     for name, block in BLOCKS.items():
         yield name, (block, options.choose((_SIZE, _SMALL), (6, 4)))

@@ -48,8 +48,7 @@ _LARGEST = 0.01
 
 def _with_calculix(options: Options) -> Iterator[tuple[str, int, int, Plane, float]]:
     """Yield name, size, axes, plane and Poisson's ratio, if CalculiX is installed."""
-    if not calculix.is_there():
-        print(f"CalculiX is not installed: {calculix.HOW}")
+    if calculix.is_missing():
         return
     sizes = options.choose((96, 24), (24, 10))
     for name, axes, plane, nu in CALCULIX:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import statistics
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,7 +16,6 @@ import numpy.typing as npt
 from benchmarks.clock import timed
 from napari_hmrf import (
     ICM,
-    BackendError,
     ElasticPrior,
     Multigrid,
     Problem,
@@ -32,8 +30,19 @@ from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.quadtree import levels, nearest_pixels
 from validation.oracles.elasticity import assemble, direct_solution
-from validation.oracles.paper import prolong, residual_matrix, solve_exactly, solve_literally
-from validation.study import COLOURS, Options, Results, Table, Target, new_figure, save, study
+from validation.oracles.paper import equations, prolong, solve_exactly, solve_literally
+from validation.problems import bar
+from validation.study import (
+    COLOURS,
+    Options,
+    Results,
+    Table,
+    Target,
+    backends,
+    new_figure,
+    save,
+    study,
+)
 
 Float64Array = npt.NDArray[np.float64]
 PHANTOMS = ("expansion", "mass-effect")
@@ -85,7 +94,7 @@ def table_1(case: tuple[str, int]) -> list[list[Any]]:
     name, size = case
     problem = phantom(name, size).problem
     truth, times = timed(lambda: direct_solution(problem, ElasticPrior(0.3)))
-    motion = float(np.sqrt((truth[problem.tissue] ** 2).sum(-1).mean()))
+    motion = rmsd(truth, 0 * truth, problem.tissue)
     rows = []
     for method, prior, optimizer, _ in _METHODS:
         for _ in range(2):  # the first solve compiles
@@ -142,28 +151,16 @@ def table_2(case: tuple[int, int]) -> Timing:
     """Time the schedule of table 2, in a warm process, beside one thread of a processor."""
     size, repeats = case
     problem = phantom("expansion", size).problem
-    seconds, titles = {}, available(("opengl", "cpu"))
-    for name in titles:
-        times = [
-            solve(problem, SeilerPrior(), backend=name).provenance.seconds
+    seconds, titles = {}, {}
+    for name in backends():
+        runs = [
+            solve(problem, SeilerPrior(), backend=name).provenance
             for _ in range(_WARM_UP + repeats)  # the first solves are slower
         ]
-        seconds[name] = statistics.median(times[_WARM_UP:])
+        seconds[name] = statistics.median(run.seconds for run in runs[_WARM_UP:])
+        titles[name] = runs[-1].backend
     solve_literally(phantom("expansion", 32).problem)  # compile before timing
     return Timing(size, seconds, timed(lambda: solve_literally(problem))[1].wall, titles)
-
-
-def available(names: Sequence[str]) -> dict[str, str]:
-    """Return the available backends by name, with their names in the tables."""
-    found = {}
-    for name in names:
-        try:
-            run = solve(phantom("bar", 16).problem, SeilerPrior(), backend=name).provenance
-        except BackendError as error:
-            print(f"({name} is not available: {error})", file=sys.stderr)
-            continue
-        found[name] = run.backend
-    return found
 
 
 _VOLUME_TITLES = ("Poisson's ratio", "displacement of the elastic model")
@@ -196,8 +193,7 @@ def in_volume(size: int) -> list[list[Any]]:
         prior = ElasticPrior(poisson)
         truth = solve(problem, prior, optimizer=Multigrid(0.01), backend="cpu").displacement
         fields = (truth, converged - truth, schedule - truth)
-        rms = (float(np.sqrt((np.linalg.norm(each, axis=-1) ** 2).mean())) for each in fields)
-        rows.append([poisson, *(f"{each:.3f}" for each in rms)])
+        rows.append([poisson, *(f"{rmsd(each, 0 * each):.3f}" for each in fields)])
     return rows
 
 
@@ -208,10 +204,7 @@ def bar_strain_ratio(length: int, ratio: float, reading: str) -> float:
     """Return the strain ratio of the soft and stiff halves of a bar with prescribed ends."""
     m = np.ones((1, length))
     m[:, : length // 2] = ratio
-    y, c = np.zeros((1, length, 2)), np.zeros((1, length, 2))
-    c[:, [0, -1]] = 1
-    y[0, -1, 1] = 1
-    along = solve_exactly(Problem(observed=y, confidence=c, stiffness=m), reading)[0, :, 1]
+    along = solve_exactly(bar(1, length, (0.0, 1.0), m), reading)[0, :, 1]
     middle = length // 2
     return float((along[-1] - along[middle]) / (along[middle - 1] - along[0]))
 
@@ -335,44 +328,6 @@ def multigrid_cycles(problem: Problem, count: int | None = None) -> tuple[int, i
     return compute_thread.submit(job).result(), deepest
 
 
-@numba.njit(cache=True, error_model="numpy")
-def _sweep(m, held, d, target):
-    """Update all sites simultaneously (centred), and return the largest displacement change."""
-    furthest = 0.0
-    height, width = m.shape
-    for i in range(height):
-        for j in range(width):
-            target[i, j] = d[i, j]
-            if m[i, j] == 0:
-                continue
-            for k in range(2):
-                if held[i, j, k]:
-                    continue
-                total = 0.0
-                pull = 0.0
-                for line in range(4):
-                    if line == 1 - k:  # the straight line of the other component
-                        continue
-                    di = 0 if line == 1 else 1
-                    dj = 0 if line == 0 else (-1 if line == 3 else 1)
-                    if i < di or i + di >= height or not 0 <= j - dj < width:
-                        continue
-                    if not 0 <= j + dj < width:
-                        continue
-                    ms, mu = m[i - di, j - dj], m[i + di, j + dj]
-                    if ms == 0 or mu == 0:
-                        continue
-                    rs, ru = m[i, j] / ms, m[i, j] / mu
-                    to_s = ru * (1 + ru) + (1 + rs)
-                    to_u = (1 + ru) + rs * (1 + rs)
-                    total += to_s + to_u
-                    pull += to_s * d[i - di, j - dj, k] + to_u * d[i + di, j + dj, k]
-                if total > 0:
-                    target[i, j, k] = pull / total
-                    furthest = max(furthest, abs(target[i, j, k] - d[i, j, k]))
-    return furthest
-
-
 def icm_sweeps(problem: Problem, truth: npt.NDArray[np.float64], count: int) -> list[float]:
     """Run ICM in closed form through the finest `count` levels, from a field of zero.
 
@@ -383,7 +338,6 @@ def icm_sweeps(problem: Problem, truth: npt.NDArray[np.float64], count: int) -> 
     """
     coarse = coarse_m = None
     spent = []
-    tissue = problem.tissue
     for level in reversed(levels(problem.shape)[:count]):
         at = np.ix_(*nearest_pixels(level, problem.shape))
         m, y = (np.ascontiguousarray(field[at]) for field in (problem.stiffness, problem.observed))
@@ -392,16 +346,17 @@ def icm_sweeps(problem: Problem, truth: npt.NDArray[np.float64], count: int) -> 
         if coarse is not None:
             prolong(coarse, coarse_m, m, d)
         d = np.where(held, y, d).astype(np.float64)
-        target, sweeps, finest = d.copy(), 0, level.number == 0
+        matrix = equations(m, (1.0, 1.0), "centred")
+        free = ~held.ravel() & (matrix.diagonal() > 0)
+        rows, diagonal, moved = matrix[free], matrix.diagonal()[free], d.reshape(-1)
+        sweeps, finest = 0, level.number == 0
         while sweeps < _MOST:
-            if finest and sweeps % 10 == 0:
-                off = np.sqrt(((d - truth)[tissue] ** 2).sum(-1).mean())
-                if off <= WITHIN:
-                    break
-            furthest = _sweep(m, held, d, target)
-            d, target = target, d
+            if finest and sweeps % 10 == 0 and rmsd(d, truth, problem.tissue) <= WITHIN:
+                break
+            change = rows @ moved / diagonal  # all sites move simultaneously
+            moved[free] -= change
             sweeps += 1
-            if not finest and furthest <= _STILL:
+            if not finest and np.abs(change).max(initial=0.0) <= _STILL:
                 break
         spent.append(sweeps * level.sites / problem.stiffness.size)
         coarse, coarse_m = d.astype(np.float32), m
@@ -531,9 +486,11 @@ def paper_curves(problem: Problem, lengths: Sequence[int], counts: Sequence[int]
     """Return the curves of eq. 7 with prescribed boundary; `counts` are the sweeps of ICM."""
     prior = SeilerPrior(conditional="blanket")
     truth = solve_exactly(problem, "blanket")
-    matrix, load, free = _quadratic(problem)
     minimum = float(prior.site_energy(problem, truth).sum())
     held = (problem.confidence > 0) & problem.tissue[..., None]
+    free = ((problem.confidence == 0) & problem.tissue[..., None]).ravel()
+    rows = 2 * equations(problem.stiffness, problem.spacing, "blanket")[free]
+    load = -(rows @ np.where(held, problem.observed, 0.0).ravel())
 
     def excess(solution: Solution) -> float:
         d = np.where(held, problem.observed, solution.displacement)
@@ -543,7 +500,7 @@ def paper_curves(problem: Problem, lengths: Sequence[int], counts: Sequence[int]
         optimizer = ICM(iterations=count, steps=None)
         return lambda: solve(problem, prior, optimizer=optimizer, backend="cpu")
 
-    curves = [best_annealed(lengths, matrix, load, truth[free], minimum)]
+    curves = [best_annealed(lengths, rows[:, free], load, truth.ravel()[free], minimum)]
     curves.append(solved("ICM through the levels", excess, [icm(count) for count in counts]))
 
     def cycles(tolerance: float) -> Callable[[], Solution]:
@@ -552,17 +509,6 @@ def paper_curves(problem: Problem, lengths: Sequence[int], counts: Sequence[int]
     runs = [cycles(10.0**-k) for k in (0, 1, 2, 3, 4)]
     curves.append(solved("Multigrid", excess, runs))
     return curves
-
-
-def _quadratic(problem: Problem):
-    """Return the matrix, load and free components of eq. 7, which is quadratic."""
-    free = (problem.confidence == 0) & problem.tissue[..., None]
-    fixed = np.where((problem.confidence > 0) & problem.tissue[..., None], problem.observed, 0.0)
-    residuals = residual_matrix(problem)
-    matrix = 2 * (residuals.T @ residuals).tocsr()
-    at = free.ravel()
-    load = -(matrix[at][:, ~at] @ fixed.ravel()[~at])
-    return matrix[at][:, at], np.asarray(load), free
 
 
 def elastic_curves(problem: Problem, lengths: Sequence[int]) -> list[Curve]:

@@ -95,6 +95,23 @@ class Program(NamedTuple):
     slow: bool = False
 
 
+def as_itk(*pixels: Array, spacing: tuple[float, ...] | None = None) -> list[Any]:
+    """Return arrays as images of SimpleITK, in single precision."""
+    import SimpleITK as sitk
+
+    images = [sitk.GetImageFromArray(np.asarray(each, np.float32)) for each in pixels]
+    for image in images if spacing is not None else ():
+        image.SetSpacing([float(size) for size in reversed(spacing)])
+    return images
+
+
+def displacement_of(field: Any) -> Array:
+    """Return a field of SimpleITK, whose components are in the order (x, y, z), as an array."""
+    import SimpleITK as sitk
+
+    return np.ascontiguousarray(sitk.GetArrayFromImage(field)[..., ::-1])
+
+
 def demons(fixed: Array, moving: Array, spacing: tuple[float, ...], sigma: float) -> Array:
     """Return the displacement by symmetric demons of SimpleITK, on three levels.
 
@@ -107,9 +124,7 @@ def demons(fixed: Array, moving: Array, spacing: tuple[float, ...], sigma: float
     """
     import SimpleITK as sitk
 
-    images = [sitk.GetImageFromArray(each.astype(np.float32)) for each in (fixed, moving)]
-    for image in images:
-        image.SetSpacing([float(size) for size in reversed(spacing)])
+    images = as_itk(fixed, moving, spacing=spacing)
     images[1] = sitk.HistogramMatching(images[1], images[0], 1024, 7, True)
     field = None
     for size, count in _DEMONS_LEVELS:
@@ -130,7 +145,7 @@ def demons(fixed: Array, moving: Array, spacing: tuple[float, ...], sigma: float
             kind, still = sitk.sitkVectorFloat64, sitk.Transform(fixed.ndim, sitk.sitkIdentity)
             start = sitk.Resample(field, level[0], still, sitk.sitkLinear, 0.0, kind)
             field = method.Execute(*level, start)
-    return np.asarray(sitk.GetArrayFromImage(field)[..., ::-1])
+    return displacement_of(field)
 
 
 def elastix(
@@ -215,7 +230,7 @@ def without_bias(image: Array) -> Array:
     """Return an image without its smooth bias, by N4 of SimpleITK on a coarser grid."""
     import SimpleITK as sitk
 
-    whole = sitk.GetImageFromArray(image.astype(np.float32) + _POSITIVE)
+    (whole,) = as_itk(image + _POSITIVE)
     mask = sitk.OtsuThreshold(whole, 0, 1)
     coarse = [sitk.Shrink(each, [_N4_SHRINK] * image.ndim) for each in (whole, mask)]
     correction = sitk.N4BiasFieldCorrectionImageFilter()
@@ -817,9 +832,7 @@ def splines(
     """
     import SimpleITK as sitk
 
-    fixed, moving = (
-        sitk.GetImageFromArray(np.asarray(each, dtype=np.float32)) for each in (image, moved)
-    )
+    fixed, moving = as_itk(image, moved)
     mesh = [max(1, round(size / spline / 4)) for size in fixed.GetSize()]
     transform = sitk.BSplineTransformInitializer(fixed, mesh, 3)
     method = sitk.ImageRegistrationMethod()
@@ -832,7 +845,7 @@ def splines(
     method.SetInitialTransformAsBSpline(transform, inPlace=True, scaleFactors=[1, 2, 4])
     method.Execute(fixed, moving)
     found = sitk.TransformToDisplacementField(transform, sitk.sitkVectorFloat64, fixed.GetSize())
-    return np.ascontiguousarray(sitk.GetArrayFromImage(found)[..., ::-1])
+    return displacement_of(found)
 
 
 class Explained(NamedTuple):

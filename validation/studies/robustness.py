@@ -48,12 +48,10 @@ import psutil
 from benchmarks.clock import timed
 from napari_hmrf import (
     Arrow,
-    BackendError,
     Drawing,
     Grid,
     Motion,
     Pictures,
-    SeilerPrior,
     Solution,
     Study,
     Tissue,
@@ -88,7 +86,7 @@ from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.material_presets import PRESETS
 from napari_hmrf.tissue.tissue_names import materials_by_name
 from validation.studies.damaged import plain
-from validation.study import Options, Results, Target, study
+from validation.study import Options, Results, Target, backends, study
 
 #: Page of full disks; the other studies are not on a page, and run only if they are named.
 PAGE = "full-disks.md"
@@ -730,7 +728,7 @@ def long_use(plan: Plan) -> Findings:
     from napari_hmrf.contributions import phantom_layers
     from napari_hmrf.ui.soft_tissue import SoftTissue
 
-    turns = [(backend, energy) for energy in _ENERGIES for backend in _available(plan.size)]
+    turns = [(backend, energy) for energy in _ENERGIES for backend in backends()]
     before = set(threading.enumerate())
     dice = random.Random(0)
     viewer = napari.Viewer(show=True)
@@ -784,18 +782,6 @@ def _cancel(widget: Any) -> None:
     """Cancel a solve, and wait until it has ended."""
     widget.cancel()
     compute_thread.submit(lambda: None).result()
-
-
-def _available(size: int) -> list[str]:
-    names = []
-    for name in ("opengl", "cpu"):
-        try:
-            solve(phantom("expansion", size).problem, SeilerPrior(), backend=name)
-        except BackendError as error:
-            print(f"without {name}: {error}", file=sys.stderr)
-            continue
-        names.append(name)
-    return names
 
 
 def _start(widget: Any, turn: tuple[str, str]) -> None:

@@ -1,14 +1,15 @@
-"""Parts that slide along each other, and data in some directions only, beside direct solutions.
+"""Parts that slide along each other, and data in some directions only, beside exact motion.
 
 `sliding` moves blocks along tilted planes and up a wedge, and turns a disc in a ring and a ball in
-a shell; the exact motion is rigid on both sides. `data-term` observes tensors of any rank and
-strength, and slides tissue along surfaces that observe its normal.
+a shell; the exact motion is rigid on both sides. `data-term` slides tissue along surfaces that
+observe its normal. ``python -m benchmarks.campaign sliding data`` compares random problems with
+direct solutions.
 """
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,13 +18,10 @@ import numpy.typing as npt
 import scipy
 
 from benchmarks.clock import timed
-from napari_hmrf import ConvergenceError, ElasticPrior, Problem, Solution, solve
-from napari_hmrf.landmarks import Landmarks
-from napari_hmrf.loads import Loads
+from napari_hmrf import ElasticPrior, Problem, Solution, solve
 from napari_hmrf.solver.interface_normals import interface_normals
 from napari_hmrf.tissue import SlidingParts
-from validation.oracles.posterior import posterior_mean, sliding_field
-from validation.study import Options, Results, Table, numbered, study
+from validation.study import Options, Table, study
 
 Array = npt.NDArray[np.float64]
 # Motion of the parts, in pixels, and Poisson's ratio.
@@ -72,7 +70,7 @@ class Case:
         )
 
 
-def _tilted(degrees: float, size: int) -> tuple[Array, Array, Array]:
+def tilted(degrees: float, size: int) -> tuple[Array, Array, Array]:
     """Return the normal and the direction of a tilted line, and the sites from the middle."""
     angle = np.radians(degrees)
     normal = np.array([np.cos(angle), -np.sin(angle)])
@@ -82,7 +80,7 @@ def _tilted(degrees: float, size: int) -> tuple[Array, Array, Array]:
 
 def plane(degrees: float, size: int = 64) -> Case:
     """Return a block that is dragged along a tilted plane by its far side."""
-    normal, along, place = _tilted(degrees, size)
+    normal, along, place = tilted(degrees, size)
     depth = place @ normal - 0.2
     inner = depth < 0
     exact = np.where(inner[..., None], _SLIP * along, 0.0)
@@ -97,7 +95,7 @@ def plane(degrees: float, size: int = 64) -> Case:
 
 def wedge(degrees: float = 17.0, size: int = 64) -> Case:
     """Return a block that is pushed horizontally up a wedge, and is free to rise."""
-    normal, along, place = _tilted(degrees, size)
+    normal, along, place = tilted(degrees, size)
     depth = place @ normal - 6.2
     inner = depth < 0
     block = (place[..., 1] > -14) & (place[..., 1] < 12) & (place[..., 0] > -16)
@@ -255,53 +253,6 @@ def cycles(pair: tuple[Problem, Problem]) -> tuple[list[int], float]:
     return counts, seconds[0] / seconds[1]
 
 
-def random_parts(seed: int) -> tuple[Problem, ElasticPrior]:
-    """Return a random problem with two to four parts, and its prior."""
-    rng = np.random.default_rng(seed)
-    grids = (((30, 40), (1, 1)), ((28, 24), (1, 2)), ((11, 12, 13), (1, 1, 1)))
-    grid, spacing = (*grids, ((12, 10, 9), (2, 1, 1.5)))[seed % 4]
-    axes, count = len(grid), 2 + seed % 3
-    place = np.moveaxis(np.indices(grid), 0, -1)
-    seeds = rng.random((count, axes)) * grid
-    labels = np.linalg.norm(place[..., None, :] - seeds, axis=-1).argmin(axis=-1)
-    y = rng.normal(size=(*grid, axes))
-    c = np.repeat((rng.random(grid) < 0.2)[..., None], axes, axis=-1)
-    loads = Loads(force=rng.normal(size=y.shape), growth=0.05 * rng.random(grid))
-    problem = Problem(
-        observed=y,
-        confidence=c.astype(float),
-        stiffness=(10.0 ** rng.uniform(0, 2, count))[labels] * rng.uniform(1, 2, grid),
-        spacing=spacing,
-        loads=loads if seed % 3 == 0 else None,
-        precision=rng.random(grid) * (rng.random(grid) < 0.1),
-        sliding=SlidingParts(labels),
-    )
-    return problem, ElasticPrior(rng.uniform(0.2, 0.45, grid) if seed % 2 else _NU)
-
-
-def _summary(results: Results) -> list[Table]:
-    found = [result for result in results.values() if result is not None]
-    worst = max(error for error, *_ in found)
-    beyond = sum(error > reported for error, reported, _ in found)
-    most = max(cycles for *_, cycles in found)
-    row = [len(results), len(results) - len(found), f"{worst:.1e}", beyond, most]
-    titles = ("random problems", "refused", "largest error, px", "beyond the reported error")
-    return [Table((*titles, "cycles, at most"), lambda _: [row])]
-
-
-@study("sliding.random", numbered(24), _summary, page="sliding.md")
-def random_sliding(seed: int) -> tuple[float, float, int] | None:
-    """Compare random problems with parts that slide with direct solutions."""
-    problem, prior = random_parts(seed)
-    try:
-        solution = solve(problem, prior, backend="cpu")
-    except ConvergenceError:
-        return None
-    far = np.abs(solution.displacement - sliding_field(problem, prior)).max() / problem.unit
-    assert solution.convergence is not None
-    return float(far), solution.convergence.error, len(solution.energy) - 1
-
-
 def _blurred(case: Case, sites: npt.NDArray[np.intp]) -> Array:
     """Return the normals of a label that is blurred by 3 pixels."""
     blurred = scipy.ndimage.gaussian_filter(np.where(case.inner, -1.0, 0.0), 3, mode="nearest")
@@ -335,62 +286,11 @@ def normals(case: Case) -> list[str]:
 
 # Data term.
 
-_GRIDS = (((40, 50), (1.0, 1.0)), ((48, 36), (1.0, 2.0)), ((13, 14, 15), (1.0, 1.0, 1.0)))
-_GRIDS += (((10, 14, 12), (2.0, 1.0, 1.5)),)
-
-
-def random_data(seed: int) -> tuple[str, Problem]:
-    """Return a random problem with a data term, and its description."""
-    rng = np.random.default_rng(seed)
-    grid, spacing = _GRIDS[seed % len(_GRIDS)]
-    axes = len(grid)
-    rank, share = int(rng.integers(1, axes + 1)), float(rng.choice([1.0, 0.3, 0.05]))
-    contrast, strength = 10 ** rng.uniform(0, 4), 10 ** rng.uniform(-3, 4)
-    factors = rng.normal(size=(*grid, axes, rank))
-    data = strength * factors @ factors.swapaxes(-1, -2)
-    data[rng.random(grid) > share] = 0
-    y, c = rng.normal(size=(*grid, axes)), np.zeros((*grid, axes))
-    if rng.random() < 0.5:
-        c[0] = 1
-    m = contrast ** rng.random(grid)
-    m[(slice(6, 9),) * axes] = 0
-    marks = None
-    if rng.random() < 0.5:
-        points = rng.random((8, axes)) * 4
-        moved = points + rng.normal(size=points.shape)
-        marks = Landmarks(points, moved, sd=10 ** rng.uniform(-2, 1))
-    problem = Problem(
-        observed=y, confidence=c, stiffness=m, spacing=spacing, precision=data, landmarks=marks
-    )
-    words = f"{grid}, rank {rank}, share {share}, strength {strength:.0e}, contrast {contrast:.0e}"
-    return words, problem
-
-
-def _data_summary(results: Results) -> Iterator[Table]:
-    found = sorted(results.values(), reverse=True)
-    beyond = sum(error > 3 * reported + 1e-4 for error, reported, _ in found)
-    row = [len(found), f"{found[0][0]:.1e}", beyond]
-    titles = ("random problems", "largest error, px", "beyond 3 times the reported error + 1e-4 px")
-    yield Table(titles, lambda _: [row])
-    worst = [[words, f"{error:.1e}", f"{reported:.1e}"] for error, reported, words in found[:3]]
-    yield Table(("largest errors", "error, px", "reported, px"), lambda _: worst)
-
-
-@study("data-term.errors", numbered(100), _data_summary, page="data-term.md")
-def data_errors(seed: int) -> tuple[float, float, str]:
-    """Compare random tensors and landmarks with direct solutions."""
-    words, problem = random_data(seed)
-    solution = _field_of(problem)
-    far = np.abs(solution.displacement - posterior_mean(problem, ElasticPrior(_NU)))
-    assert solution.convergence is not None
-    return float(far.max()) / problem.unit, solution.convergence.error, words
-
 
 def _along_plane(degrees: float) -> tuple[float, float]:
-    size, (up, across) = 64, (np.cos(np.radians(degrees)), np.sin(np.radians(degrees)))
-    along, normal = np.array([across, up]), np.array([up, -across])
-    place = np.moveaxis(np.indices((size, size)), 0, -1) - size / 2
-    depth = place @ normal
+    size = 64
+    normal, along, place = tilted(degrees, size)
+    depth = (place - 0.5) @ normal
     plane, far = np.abs(depth) <= 0.5, depth < -20
     y, c = np.zeros((size, size, 2)), np.zeros((size, size, 2))
     y[far], c[far] = 4 * along, 1
@@ -404,13 +304,10 @@ def _along_plane(degrees: float) -> tuple[float, float]:
 
 
 def _in_surface(strength: float) -> tuple[float, float]:
-    size, radius = 50, 20
-    place = np.moveaxis(np.indices((size,) * 3), 0, -1) - (size - 1) / 2
-    away = np.linalg.norm(place, axis=-1)
+    radius, (place, away, turn) = 20, _turning(50)
     normal = place / away[..., None]
     surface, tissue = np.abs(away - radius) <= 0.5, away <= radius + 0.5
     data = strength * surface[..., None, None] * normal[..., :, None] * normal[..., None, :]
-    turn = np.stack([0 * away, -0.1 * place[..., 2], 0.1 * place[..., 1]], axis=-1)
     core = (away <= 6)[..., None]
     field = _field_of(
         Problem(

@@ -34,6 +34,7 @@ from napari_hmrf.posterior.sampling import Sampler, checked_prior, energy_of
 from napari_hmrf.posterior.scale_fit import Likelihood
 from validation.oracles.elasticity import direct_solution, stiffness_matrix
 from validation.oracles.posterior import interpolation, posterior_covariance
+from validation.problems import between_plates, small_tissue_with_data
 from validation.study import Options, Results, Table, numbered, study
 
 Array = npt.NDArray[np.float64]
@@ -47,42 +48,6 @@ _BOUNDS = {68: 0.9945, 95: 1.96}
 # Samples.
 
 _COUNTS = (30, 300, 3000)
-
-
-def random_tissue(seed: int) -> Problem:
-    """Return a random problem with held tissue, random tensors or landmarks."""
-    rng = np.random.default_rng(seed)
-    grid, spacing = (
-        ((14, 14), (1.0, 1.0)),
-        ((14, 14), (1.0, 3.0)),
-        ((6, 6, 6), (1.0, 1.0, 1.0)),
-        ((6, 6, 6), (2.0, 1.0, 1.0)),
-    )[seed % 4]
-    axes, contrast = len(grid), (1.0, 1e3)[seed // 4 % 2]
-    m = contrast ** rng.random(grid)
-    c = np.zeros((*grid, axes))
-    kind = ("held", "tensors", "landmarks")[seed // 8 % 3]
-    precision, marks = None, None
-    if kind != "landmarks":
-        m[(slice(2, 4),) * axes] = 0
-        c[0] = 1
-    energy = _SCALE.energy(m, spacing)
-    if kind == "tensors":
-        factors = rng.normal(size=(*grid, axes, axes))
-        precision = factors @ factors.swapaxes(-1, -2) * (rng.random(grid) < 0.1)[..., None, None]
-        precision *= energy / 0.3**2
-    if kind == "landmarks":
-        points = rng.random((8, axes)) * (np.array(grid) - 1)
-        marks = Landmarks(points, points, sd=10 ** rng.uniform(-1, 0.5), scale=_SCALE)
-    observed = np.zeros_like(c)
-    return Problem(
-        observed=observed,
-        confidence=c,
-        stiffness=m,
-        spacing=spacing,
-        precision=precision,
-        landmarks=marks,
-    )
 
 
 def _sample_rows(results: Results) -> Iterator[list[Any]]:
@@ -107,7 +72,7 @@ def sample_variances(seed: int) -> list[float]:
     Errors are in units of their theoretical standard deviation, which follows from the whole
     covariance: neighbouring sites move together, and their variances are not independent.
     """
-    problem = random_tissue(seed)
+    problem = small_tissue_with_data(seed, _SCALE)
     covariance, free = posterior_covariance(problem, ElasticPrior(), _SCALE)
     variance = np.diag(covariance)
     correlation = covariance / np.sqrt(np.outer(variance, variance))
@@ -119,6 +84,12 @@ def sample_variances(seed: int) -> list[float]:
             theory = np.sqrt(2 * (correlation**2).mean() / number)
             errors.append(float((squares / number / variance).mean() - 1) / theory)
     return errors
+
+
+def _root(problem: Problem) -> tuple[npt.NDArray[np.bool_], Array]:
+    """Return the free components, and the Cholesky factor of their matrix by scikit-fem."""
+    free = ~problem.known.ravel()
+    return free, np.linalg.cholesky(stiffness_matrix(problem, _TRUTH).toarray()[np.ix_(free, free)])
 
 
 # Coverage.
@@ -157,8 +128,7 @@ def coverage(seed: int) -> dict[str, list[float]]:
     bare = Problem(observed=np.zeros_like(c), confidence=c, stiffness=m, spacing=spacing)
     energy = _SCALE.energy(bare.stiffness, spacing)
     # The truth is a sample of the prior, by another assembly of the elements.
-    free = (c == 0).ravel()
-    root = np.linalg.cholesky(stiffness_matrix(bare, _TRUTH).toarray()[np.ix_(free, free)])
+    free, root = _root(bare)
     truth = np.zeros(c.size)
     truth[free] = np.sqrt(energy) * np.linalg.solve(root.T, rng.normal(size=free.sum()))
     points = rng.random((int(rng.integers(1, 7)), 2)) * (np.array(grid) - 1)
@@ -259,16 +229,15 @@ class LandmarkedTissue:
 
     def __init__(self, landmarks: int, seed: int) -> None:
         self.rng = np.random.default_rng((seed, landmarks))
-        self._observed, self._confidence = np.zeros((2, *self.grid, 2))
-        self._confidence[[0, -1]], self._observed[-1] = 1, (4, 1)
         points = self.rng.random((landmarks, 2)) * (np.array(self.grid) - 1)
         marks = Landmarks(points, points, sd=self.sd, scale=_SCALE)
         self._rows = interpolation(points, self.grid)
-        self._assumed = direct_solution(self._tissue(1.0), _TRUTH).ravel()
+        bare = self._tissue(1.0)
+        self._assumed = direct_solution(bare, _TRUTH).ravel()
         problem = Problem(
-            observed=self._observed,
-            confidence=self._confidence,
-            stiffness=np.ones(self.grid),
+            observed=bare.observed,
+            confidence=bare.confidence,
+            stiffness=bare.stiffness,
             landmarks=marks,
         )
         prior = checked_prior(problem, ElasticPrior(0.3))
@@ -278,7 +247,7 @@ class LandmarkedTissue:
     def _tissue(self, stiffness: float) -> Problem:
         m = np.ones(self.grid)
         m[7:17, 7:17] = stiffness
-        return Problem(observed=self._observed, confidence=self._confidence, stiffness=m)
+        return between_plates(m, (4.0, 1.0))
 
     def truth(self, stiffness: float = 1.0) -> tuple[Array, Array]:
         """Return the mean and a root of the covariance of the motion, by scikit-fem.
@@ -289,8 +258,8 @@ class LandmarkedTissue:
             Stiffness of a square of 10 x 10 pixels, relative to the tissue around it. The mean is
             relative to that of uniform tissue.
         """
-        true, free = self._tissue(stiffness), (self._confidence == 0).ravel()
-        root = np.linalg.cholesky(stiffness_matrix(true, _TRUTH).toarray()[np.ix_(free, free)])
+        true = self._tissue(stiffness)
+        free, root = _root(true)
         seen = self._rows[:, np.flatnonzero(free)].toarray()
         mean = self._rows @ (direct_solution(true, _TRUTH).ravel() - self._assumed)
         return mean, scipy.linalg.solve_triangular(root, np.sqrt(self.energy) * seen.T, lower=True)
@@ -443,8 +412,7 @@ def _fit_rows(results: Results) -> Iterator[list[str]]:
 def fits(seed: int) -> dict[str, list[tuple[float, bool]]]:
     """Compare fitted ratios of stiffness and growth with the true ones."""
     grid, prior = (48, 48), ElasticPrior(0.3)
-    held, moved = np.zeros((2, *grid, 2))
-    held[[0, -1]], moved[-1] = 1, (3, 1)
+    ends = (3.0, 1.0)
     errors: dict[str, list[tuple[float, bool]]] = {kind: [] for kind in _FITS}
     rng = np.random.default_rng(seed)
     labels = np.ones(grid, int)
@@ -456,26 +424,16 @@ def fits(seed: int) -> dict[str, list[tuple[float, bool]]]:
         true = np.ones(5)
         if kind != "uniform":
             true[2:] = 10 ** rng.uniform(-0.7, 1, 3)
-        problem = Problem(observed=moved, confidence=held, stiffness=true[labels])
         if kind == "growth":
             strain = float(rng.uniform(0.1, 0.3))
-            problem = Problem(
-                observed=moved,
-                confidence=held,
-                stiffness=true[labels],
-                loads=growth(strain * (labels == 2)),
-            )
-            field = solve(problem, prior, backend="cpu").displacement
+            grown = between_plates(true[labels], ends, loads=growth(strain * (labels == 2)))
+            field = solve(grown, prior, backend="cpu").displacement
         else:
-            field = direct_solution(problem, _TRUTH)
+            field = direct_solution(between_plates(true[labels], ends), _TRUTH)
         sd = 0.05 * float(np.sqrt((field**2).mean()))
         seen = field + rng.normal(0, sd, field.shape)
-        guess = Problem(
-            observed=moved,
-            confidence=held,
-            stiffness=np.ones(grid) if kind != "growth" else true[labels],
-        )
         grows = kind == "growth"
+        guess = between_plates(true[labels] if grows else np.ones(grid), ends)
         found = fit(
             guess,
             labels,
@@ -501,19 +459,16 @@ def maps(seed: int) -> list[Any]:
     """Compare two inclusions in maps of the stiffness with the true ones."""
     size, prior = 64, ElasticPrior(0.3)
     rows, cols = np.indices((size, size))
-    held, moved = np.zeros((2, size, size, 2))
-    held[[0, -1]], moved[-1, :, 0] = 1, -2
+    ends = (-2.0, 0.0)
     rng = np.random.default_rng(seed)
     inside = np.zeros((size, size), bool)
     for row, col in ((22, 20), (42, 44)):
         middle = rng.uniform(-3, 3, 2) + np.array((row, col))
         inside |= np.hypot(rows - middle[0], cols - middle[1]) < rng.uniform(7, 10)
-    field = direct_solution(
-        Problem(observed=moved, confidence=held, stiffness=np.where(inside, 3.0, 1.0)), _TRUTH
-    )
+    field = direct_solution(between_plates(np.where(inside, 3.0, 1.0), ends), _TRUTH)
     sd = 0.05 * float(np.sqrt((field**2).mean()))
     seen = field + rng.normal(0, sd, field.shape)
-    guess = Problem(observed=moved, confidence=held, stiffness=np.ones((size, size)))
+    guess = between_plates(np.ones((size, size)), ends)
     found = stiffness_map(guess, seen, sd=sd, prior=prior, backend="cpu")
     ratios = found.stiffness / np.median(found.stiffness[~inside])
     stiff = ratios > np.sqrt(3)

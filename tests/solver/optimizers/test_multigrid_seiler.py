@@ -18,6 +18,7 @@ from napari_hmrf.data import phantom
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.cpu.seiler_model import CpuSeilerModel
 from tests.support.cancel_flags import During
+from validation.oracles.exact import exact_field
 from validation.oracles.paper import solve_exactly
 
 CONDITIONALS = ["centred", "blanket"]
@@ -49,40 +50,6 @@ def uncertain_problem(spacing=(1.0, 1.0), seed=1):
     return Problem(
         observed=rng.normal(size=(*shape, 2)), confidence=c, stiffness=m, spacing=spacing
     )
-
-
-def reference_solution(problem, prior):
-    """Return the converged field in float64, relaxing one observed component at a time.
-
-    Free components are eliminated first. The matrix is measured with unit displacements.
-    """
-    size = problem.observed.size
-    steep = prior.site_parabola(problem, np.zeros(problem.observed.shape)).curvature.ravel()
-    matrix = np.empty((size, size))
-    for k in range(size):
-        impulse = np.zeros(size)
-        impulse[k] = problem.unit
-        lowest = prior.site_parabola(problem, impulse.reshape(problem.observed.shape)).lowest
-        matrix[:, k] = (impulse - lowest.ravel()) / problem.unit
-    matrix *= np.where(steep > 0, 2 * steep, 1)[:, None]
-    seen, moves = problem.confidence.ravel() > 0, steep > 0
-    y = np.where(seen, problem.observed.ravel(), 0).astype(float) / problem.unit
-    free, tied = moves & ~seen, np.flatnonzero(moves & seen)
-    field = np.where(seen, y, 0)
-    inner = np.linalg.inv(matrix[np.ix_(free, free)])
-    schur = matrix[tied] - matrix[np.ix_(tied, free)] @ inner @ matrix[free]
-    p = prior.limit(problem).ravel()
-    for _ in range(20_000):
-        most = 0.0
-        for row, k in zip(schur, tied, strict=True):
-            off = field[k] - (row * ~free) @ field / row[k] - y[k]
-            target = y[k] + np.sign(off) * max(abs(off) - p[k] / row[k], 0)
-            most = max(most, abs(target - field[k]))
-            field[k] = target
-        if most < 1e-8:
-            break
-    field[free] = -inner @ matrix[np.ix_(free, ~free)] @ field[~free]
-    return field.reshape(problem.observed.shape) * problem.unit
 
 
 @pytest.mark.parametrize(
@@ -186,7 +153,7 @@ def test_multigrid_matches_the_limit_of_many_icm_sweeps(reading):
 def test_observations_slip_where_the_force_exceeds_their_confidence(reading, spacing, penalty):
     problem = uncertain_problem(spacing)
     prior = SeilerPrior(penalty=penalty, conditional=reading)
-    expected = reference_solution(problem, prior)
+    expected = exact_field(problem, prior).displacement * problem.unit
     found = solve(problem, prior, optimizer=Multigrid(1e-4)).displacement
     assert np.abs(found - expected)[problem.tissue].max() < 2e-4
     slipped = (np.abs(expected - problem.observed) > 1e-3)[problem.confidence > 0]

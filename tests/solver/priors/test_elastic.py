@@ -1,6 +1,7 @@
 """Elastic prior: energy of finite elements, and solution by multigrid."""
 
 import threading
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -23,21 +24,10 @@ from napari_hmrf.solver.backends.cpu.elastic_model import CpuElasticModel
 from napari_hmrf.solver.coarse_levels import smoother_bounds
 from napari_hmrf.solver.priors.elements import element_forces
 from validation.oracles.elasticity import direct_solution, stiffness_matrix
+from validation.problems import frame_problem
 
 PLANES = ["stress", "strain"]
-
-
-def random_problem(shape=(9, 7), spacing=(1.0, 1.0), void=False, ratio=5.0, seed=0):
-    """Return random tissue with random prescribed displacements at its border."""
-    rng = np.random.default_rng(seed)
-    m = ratio ** rng.random(shape)
-    if void:
-        m[shape[0] // 2, shape[1] // 2] = 0
-    c = np.zeros((*shape, 2))
-    c[0] = c[-1] = c[:, 0] = c[:, -1] = 1
-    return Problem(
-        observed=rng.normal(size=(*shape, 2)), confidence=c, stiffness=m, spacing=spacing
-    )
+random_problem = partial(frame_problem, ratio=5.0, amplitude=1.0)
 
 
 @pytest.mark.parametrize(
@@ -45,7 +35,8 @@ def random_problem(shape=(9, 7), spacing=(1.0, 1.0), void=False, ratio=5.0, seed
     [(0.0, "stress", (2.0, 0.5)), (0.3, "stress", (1.0, 1.0)), (0.45, "strain", (2.0, 0.5))],
 )
 def test_the_energy_and_the_forces_match_finite_elements(poisson, plane, spacing):
-    problem, prior = random_problem(spacing=spacing, void=True), ElasticPrior(poisson, plane=plane)
+    problem = random_problem((9, 7), spacing=spacing, has_hole=True)
+    prior = ElasticPrior(poisson, plane=plane)
     matrix = stiffness_matrix(problem, prior)
     d = np.random.default_rng(1).normal(size=problem.observed.shape)
     pulls = (matrix @ d.ravel()).reshape(d.shape)
@@ -58,7 +49,7 @@ def test_the_energy_and_the_forces_match_finite_elements(poisson, plane, spacing
 
 @pytest.mark.parametrize(("plane", "spacing"), [("stress", (2.0, 0.5)), ("strain", (1.0, 1.0))])
 def test_forces_are_the_gradient_of_the_energy(plane, spacing):
-    problem = random_problem((5, 6), spacing, void=True)
+    problem = random_problem((5, 6), spacing=spacing, has_hole=True)
     prior = ElasticPrior(0.4, plane=plane)
     d = np.random.default_rng(2).normal(size=(5, 6, 2)) * problem.unit
     forces = prior.forces(problem, d)
@@ -75,7 +66,7 @@ def test_forces_are_the_gradient_of_the_energy(plane, spacing):
     "count", [3, *(pytest.param(count, marks=pytest.mark.campaign) for count in (2, 7))]
 )
 def test_the_number_of_threads_does_not_change_the_field(count, monkeypatch):
-    problem = random_problem((123, 96), void=True, ratio=1e3)
+    problem = random_problem((123, 96), has_hole=True, ratio=1e3)
     monkeypatch.setattr(elastic_model, "_last", [])
     monkeypatch.setattr(forces, "parts", lambda height: 1)
     alone = solve(problem, ElasticPrior(), backend="cpu")
@@ -97,7 +88,7 @@ def test_the_number_of_threads_does_not_change_the_field(count, monkeypatch):
     ],
 )
 def test_compiled_forces_match_the_energy(shape, spacing):
-    problem = random_problem(shape, spacing, void=shape[0] > 13, ratio=1e4)
+    problem = random_problem(shape, spacing=spacing, has_hole=shape[0] > 13, ratio=1e4)
     prior = ElasticPrior(0.45, plane="strain")
     d = np.random.default_rng(3).normal(size=(*shape, 2))
     model = CpuElasticModel(prior.material(problem))
@@ -136,7 +127,7 @@ def test_uniform_tissue_with_an_affine_border_moves_affinely(plane, spacing):
 
 @pytest.mark.parametrize(("plane", "spacing"), [("stress", (1.0, 1.0)), ("strain", (1.0, 2.5))])
 def test_the_field_matches_a_direct_solve(plane, spacing):
-    problem = random_problem((49, 62), spacing, void=True)
+    problem = random_problem((49, 62), spacing=spacing, has_hole=True)
     prior = ElasticPrior(0.45, plane=plane)
     found = solve(problem, prior, optimizer=Multigrid(tolerance=1e-4))
     expected = direct_solution(problem, prior)

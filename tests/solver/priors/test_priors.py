@@ -59,7 +59,8 @@ def test_the_total_energy_is_the_sum_over_all_cliques(conditional):
 def test_up_to_twelve_cliques_contain_a_site():
     y = np.zeros((5, 5, 2))
     problem = Problem(observed=y, confidence=1 + y, stiffness=np.ones((5, 5)))
-    assert sum(np.count_nonzero(np.stack(sites) == 12) for *sites, _ in cliques(problem)) == 12
+    every = cliques(problem.stiffness, problem.spacing)
+    assert sum(np.count_nonzero(np.stack(sites) == 12) for *sites, _ in every) == 12
 
 
 @pytest.mark.parametrize("conditional", ["centred", "blanket"])

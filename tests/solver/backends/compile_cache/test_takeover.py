@@ -16,8 +16,8 @@ from napari_hmrf.solver.backends.compile_cache.sets import COUNTS, FULL_COUNT, H
 from napari_hmrf.solver.backends.compile_cache.watch import watched
 from napari_hmrf.solver.backends.opengl import is_software_renderer
 from tests.support.opengl import require_opengl
-from tests.support.problems import pulled_problem
 from tests.support.timeouts import LONG
+from validation.problems import pulled_problem
 
 
 class Drag:
