@@ -54,8 +54,6 @@ class SolverDetails:
         Tolerance of `Multigrid`, in pixels.
     budget : float
         Budget of `Multigrid` for large motion, in linear solves; 0 for no limit.
-    device : str
-        Argument `backend` of `solve`.
     """
 
     reading: Conditional = _form_field(  # noqa: RUF009 - a new field on each call
@@ -118,18 +116,6 @@ class SolverDetails:
         "It then shows the best motion so far and what is missing; 'Continue' goes on.",
         choices=[*((f"{times:g} linear solves", times) for times in WORK_STEPS), ("no limit", 0.0)],
     )
-    device: str = _form_field(
-        "auto",
-        "device",
-        "Automatic: the graphics card if there is one, otherwise compiled loops on the CPU",
-        choices=[
-            ("automatic", "auto"),
-            ("OpenGL", "opengl"),
-            ("OpenGL, fragment", "opengl:fragment"),
-            ("OpenGL, compute", "opengl:compute"),
-            ("CPU", "cpu"),
-        ],
-    )
 
 
 _USUAL = SolverDetails()
@@ -138,12 +124,12 @@ _USUAL = SolverDetails()
 def detail_names(model: ModelName) -> tuple[str, ...]:
     """List the details that apply to a model, in the order of the form."""
     if model == "large motion":
-        return "grip", "accuracy", "budget", "device"
+        return "grip", "accuracy", "budget"
     if model == "elastic":
-        return "grip", "accuracy", "device"
+        return "grip", "accuracy"
     if model == "paper":
-        return "reading", "method", "sweeps", "energy_change", "penalty", "device"
-    return "reading", "penalty", "accuracy", "device"
+        return "reading", "method", "sweeps", "energy_change", "penalty"
+    return "reading", "penalty", "accuracy"
 
 
 def prior_of(

@@ -322,11 +322,7 @@ class StudyModel(EditHistory):
             extent="volume" if len(study.grid.shape) == 3 else "slice",
             preset=tissue.preset,
         )
-        device = self.model.details.device
-        choice = ModelChoice.of(study)
-        self.choose_model(
-            replace(choice, details=replace(choice.details, device=device)), step=False
-        )
+        self.choose_model(ModelChoice.of(study), step=False)
 
     def image_of(self, part: Part) -> Any:
         """Return the image that a part belongs to, or None.
@@ -456,7 +452,7 @@ class StudyModel(EditHistory):
     def reset(self) -> None:
         """Remove the drawing and the registration, and restore the default settings, as one step.
 
-        The chosen layers, their tables and the device are kept. The edge is fixed only if there is
+        The chosen layers and their tables are kept. The edge is fixed only if there is
         no boundary layer, as for a new image.
         """
         choice, model = self.choice, self.model
@@ -464,9 +460,8 @@ class StudyModel(EditHistory):
         usual = replace(
             choice, without_border=True, hold_edge=edge, weight=(), cavity=Cavity(), preset=None
         )
-        usual_model = ModelChoice(details=SolverDetails(device=model.details.device))
         chosen, model_part = Part("choice", self.image), self.model_part
-        values: dict[Part, Any] = {self.slice: Drawing(), chosen: usual, model_part: usual_model}
+        values: dict[Part, Any] = {self.slice: Drawing(), chosen: usual, model_part: ModelChoice()}
         before = {self.slice: self.drawing, chosen: choice, model_part: model}
         if self.get(self.measured_part) is not None:
             values[self.measured_part] = None

@@ -220,7 +220,7 @@ class Controller:
             self._refuse(error)
             return
         self.settling, self._submitted = True, study
-        self.engine.submit(study, self._model.model.details.device, cold_start=True)
+        self.engine.submit(study, self.form.model.in_detail.device.value, cold_start=True)
         self.progress.start("Deforming", at_once=True)
 
     def cancel(self) -> None:
@@ -370,7 +370,7 @@ class Controller:
             plane = plane_shown(place, view) if in_slices else None
             cut = self.pointer.display.cut if volume and not in_slices else None
             study, preview = as_dragged(study), drag_preview(study, plane, cut)
-        self.engine.submit(study, self._model.model.details.device, preview=preview)
+        self.engine.submit(study, self.form.model.in_detail.device.value, preview=preview)
 
     def _on_answer(self, state: ShownDeformation) -> None:
         study, moved = self.study, state.moved

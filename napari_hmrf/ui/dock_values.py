@@ -195,6 +195,16 @@ class DockValues(Dock):
         self._form.model.in_detail.details = value
 
     @property
+    def device(self) -> str:
+        """Device of the solver for all images, as the argument `backend` of `solve`."""
+        value: str = self._form.model.in_detail.device.value
+        return value
+
+    @device.setter
+    def device(self, value: str) -> None:
+        self._form.model.in_detail.device.value = value
+
+    @property
     def result(self) -> Any:
         """Vectors layer of the displayed (newest or last selected) result, or None."""
         value: Any = self._view.arrows

@@ -295,10 +295,8 @@ class FormBinding:
                 field.value = value if not of_layers or value in field.choices else None
 
     def _show_model(self, model: ModelChoice) -> None:
-        """Show the tissue model of an image in the form; the device is the same for all images."""
-        form = self._form.model
-        device = form.in_detail.details.device
-        form.choice = replace(model, details=replace(model.details, device=device))
+        """Show the tissue model of an image in the form."""
+        self._form.model.choice = model
 
     # From the forms to the model
 

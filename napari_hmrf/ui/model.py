@@ -35,6 +35,14 @@ _PICTURE = QSize(64, 32)
 # Range of the typical strain, in percent, and number of its decimals as a fraction.
 _STRAINS = 0.01, 10_000.0
 _DECIMALS = 6
+_DEVICES = {
+    "auto": "automatic",
+    "opengl": "OpenGL",
+    "opengl:fragment": "OpenGL, fragment",
+    "opengl:compute": "OpenGL, compute",
+    "cpu": "CPU",
+}
+_ABOUT_DEVICE = "Automatic: the graphics card if there is one, otherwise compiled loops on the CPU"
 _ABOUT_STRAIN = (
     "Strain that is usual for this tissue, against which landmarks with an uncertainty (±) are "
     "weighed. A larger strain brings tissue closer to these landmarks; it has no other effect"
@@ -49,16 +57,22 @@ _ABOUT_DRIFT = (
 
 
 class DetailsForm(Container):
-    """Form with the fields of `SolverDetails`; only the fields of the chosen model are visible."""
+    """Form with the fields of `SolverDetails`; only the fields of the chosen model are visible.
+
+    Attributes
+    ----------
+    device : ComboBox
+        Argument `backend` of `solve`, which is the same for all images.
+    """
 
     def __init__(self) -> None:
         hints = get_type_hints(SolverDetails)
-        super().__init__(
-            widgets=[
-                create_widget(each.default, hints[each.name], each.name, **each.metadata)
-                for each in fields(SolverDetails)
-            ]
-        )
+        made = [
+            create_widget(each.default, hints[each.name], each.name, **each.metadata)
+            for each in fields(SolverDetails)
+        ]
+        self.device = menu("device", _DEVICES, _ABOUT_DEVICE, name="device")
+        super().__init__(widgets=[*made, self.device])
         align_labels(self)
         self["penalty"].native.setSpecialValueText("automatic")
         self["grip"].native.setSpecialValueText("by confidence")
@@ -69,7 +83,7 @@ class DetailsForm(Container):
     @property
     def details(self) -> SolverDetails:
         """Chosen solver settings."""
-        return SolverDetails(**self.asdict())
+        return SolverDetails(**{each.name: self[each.name].value for each in fields(SolverDetails)})
 
     @details.setter
     def details(self, details: SolverDetails) -> None:
@@ -200,8 +214,7 @@ class ModelForm(Container):
 
     def _on_model(self, model: str) -> None:
         if model == "paper":
-            device = self.in_detail["device"].value
-            self.in_detail.details = SolverDetails(device=device)
+            self.in_detail.details = SolverDetails()
         self._show()
 
     def _show(self, *_: Any) -> None:
@@ -212,4 +225,4 @@ class ModelForm(Container):
         self.poisson.visible = self.is_elastic and isinstance(self._tissue, Image)
         self.strain.visible = self.drift.visible = model == "elastic"
         for field in self.in_detail:
-            field.visible = field.name in detail_names(model)
+            field.visible = field is self.in_detail.device or field.name in detail_names(model)

@@ -106,7 +106,7 @@ class SoftTissue(DockValues):
         self.study_model: StudyModel = undo.model
         self._added_landmarks: tuple[Landmark, ...] = ()
         self._form = form = DockForm(self, viewer)
-        remember(form.model.in_detail["device"])
+        remember(form.model.in_detail.device)
         self._binding = FormBinding(viewer, form)
         self._pointer = Pointer(self.native, viewer, form.motion.fields, undo)
         inputs = form, self._binding, self._pointer, undo.model

@@ -169,7 +169,7 @@ def tumour(frame):
     viewer.add_image(np.full(SHAPE, 7, np.uint8), name="MR", **PLACE)
     viewer.add_labels(tissue, name="Tissue", metadata=layer_metadata(TISSUE, table, "kPa"), **PLACE)
     viewer.add_labels(boundary, name="Boundary", metadata=layer_metadata(BOUNDARY, said), **PLACE)
-    dock.settings = replace(dock.settings, device="cpu")
+    dock.device = "cpu"
     return dock
 
 

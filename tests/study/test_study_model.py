@@ -111,11 +111,11 @@ def test_undo_reverts_choices_tables_drawings_and_the_model_in_one_order(layers)
 def test_reset_restores_drawing_and_settings_and_keeps_layers_as_one_step(layers):
     model = edited_model(layers)
     model.choose(weight=(1.0, 0.0))
-    model.choose_model(ModelChoice("paper", details=SolverDetails(device="cpu", sweeps=3)))
+    model.choose_model(ModelChoice("paper", details=SolverDetails(sweeps=3)))
     before = model.choice, model.model, model.drawing
     model.reset()
     assert model.drawing == Drawing()
-    assert model.model == ModelChoice(details=SolverDetails(device="cpu"))
+    assert model.model == ModelChoice()
     kept = {name: layers[name] for name in ("tissue", "boundary")}
     assert model.choice == ImageChoice(**kept, hold_edge=False)
     assert model.undo().word == "reset the study"

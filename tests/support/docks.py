@@ -12,7 +12,7 @@ def dock_in(viewer):
 
 def quick(dock):
     """Set a dock to a few sweeps of the paper's model on the CPU, with live mode off."""
-    dock.settings = replace(dock.settings, device="cpu")
+    dock.device = "cpu"
     dock.model = "paper"
     forget_choice(dock)
     dock.settings = replace(dock.settings, sweeps=3)

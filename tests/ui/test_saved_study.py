@@ -53,7 +53,7 @@ def viewer(frame):
 def dock(frame, wait_for):
     """Return an idle dock beside an empty viewer."""
     made = frame.open()
-    made.settings = replace(made.settings, device="cpu")
+    made.device = "cpu"
     wait_for(lambda: not made.busy)
     return made
 

@@ -482,17 +482,17 @@ def test_settings_determine_prior_and_optimizer(widget):
     chosen = widget.study_model.model
     assert chosen.prior == SeilerPrior(penalty=500, conditional="blanket")
     assert chosen.optimizer == ICM(12, steps=None, energy_change=1e-3)
-    assert widget.settings.device == "cpu"
+    assert widget.device == "cpu"
     form = widget._form.model.in_detail
     assert "Borders of stiff and soft tissue hardly move" in form["reading"].tooltip
     for words in ("candidate steps", "never early", "OpenGL, fragment"):
         Screen(widget).choose(words)
     assert widget.study_model.model.optimizer == ICM(12)
-    assert widget.settings.device == "opengl:fragment"
+    assert widget.device == "opengl:fragment"
 
 
 def test_every_device_is_offered(widget):
-    assert set(widget._form.model.in_detail["device"].choices) == set(BACKEND_NAMES)
+    assert set(widget._form.model.in_detail.device.choices) == set(BACKEND_NAMES)
 
 
 def test_the_default_settings_are_elastic_and_one_click_selects_the_paper_model(frame):
@@ -502,7 +502,7 @@ def test_the_default_settings_are_elastic_and_one_click_selects_the_paper_model(
     Screen(widget).choose(MODELS["paper"])
     chosen = widget.study_model.model
     assert (chosen.prior, chosen.optimizer) == (SeilerPrior(), ICM())
-    assert widget.settings.device == "auto"
+    assert widget.device == "auto"
 
 
 # Place

@@ -19,7 +19,7 @@ def pulled_in_steps(open_beside, settle, monkeypatch):
     monkeypatch.setattr(work, "_LEAST_CYCLE_SITES", {2: 0.0, 3: 0.0})
     _, dock = open_beside()
     dock.start()
-    dock.settings = replace(dock.settings, budget=12.0, device="cpu")
+    dock.settings, dock.device = replace(dock.settings, budget=12.0), "cpu"
     dock.model = "large motion"
     for pull in PULLS:
         dock.drawing = pulled_by(pull)

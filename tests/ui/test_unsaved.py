@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -204,7 +203,7 @@ def test_a_script_closes_the_window_during_a_solve_without_a_wait_or_a_question(
     window, run, at_rest
 ):
     viewer, dock = window()
-    dock.settings = replace(dock.settings, device="cpu")
+    dock.device = "cpu"
     dock.drawing = DRAWING
     run(dock)
     at_rest.until(lambda: not dock.busy)

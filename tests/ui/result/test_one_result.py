@@ -20,7 +20,7 @@ from tests.support.windowless import Touch
 
 def without_live_mode(dock):
     """Set the dock to the elastic model on the CPU, without live mode; return the dock."""
-    dock.settings = replace(dock.settings, device="cpu")
+    dock.device = "cpu"
     dock.live = False
     return dock
 

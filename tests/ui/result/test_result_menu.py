@@ -1,7 +1,6 @@
 """Tests of the menu of a result: measurements, exported files and layers moved along."""
 
 import csv
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -27,7 +26,7 @@ def result(frame, small_sample, run, wait_for):
 
     def make(**place):
         viewer, dock = frame.viewer, frame.open()
-        dock.settings = replace(dock.settings, device="cpu")
+        dock.device = "cpu"
         dock.model, dock.live = "elastic", False
         shape = (*place.pop("more", ()), 20, 24)
         small_sample(viewer, shape, **place)
