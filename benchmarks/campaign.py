@@ -16,7 +16,6 @@ import math
 import re
 import sys
 import threading
-import time
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -26,8 +25,8 @@ from typing import Any, NamedTuple
 from unittest.mock import patch
 
 import numpy as np
-import psutil
 
+from benchmarks.clock import now, resident_bytes, since
 from benchmarks.table import markdown
 from napari_hmrf import ElasticPrior, LiveSolver, Multigrid, Problem, SeilerPrior, Solution, solve
 from napari_hmrf.errors import Cancelled, ConvergenceError, HmrfError, ProblemError
@@ -161,7 +160,7 @@ def _judged_image(drawn: RandomProblem, backend: str, as_large: bool) -> Verdict
     patience = threading.Event()
     alarm = threading.Timer(_SECONDS, patience.set)
     alarm.start()
-    begun = time.perf_counter()
+    begun = now()
     solution, refusal = None, None
     try:
         with warnings.catch_warnings(), ExitStack() as stack:
@@ -180,7 +179,7 @@ def _judged_image(drawn: RandomProblem, backend: str, as_large: bool) -> Verdict
         return Verdict("crashed", **about | {"note": f"{drawn}: {type(error).__name__}: {error}"})
     finally:
         alarm.cancel()
-    about |= {"seconds": time.perf_counter() - begun, "tolerance": drawn.tolerance}
+    about |= {"seconds": since(begun).wall, "tolerance": drawn.tolerance}
     truth = exact_field(problem, drawn.prior)
     if solution is None:
         assert refusal is not None
@@ -395,13 +394,13 @@ def judge_gaps(
         return
     for tolerance in (0.01, 0.001):
         kinds = {"tolerance": f"{tolerance:g}", "device": backend}
-        begun = time.perf_counter()
+        begun = now()
         try:
             found = solve(problem, prior, optimizer=Multigrid(tolerance), backend=backend)
         except HmrfError as refusal:
             yield Verdict("refused: by the solver", kinds, note=str(refusal))
             continue
-        seconds, of = time.perf_counter() - begun, found.convergence
+        seconds, of = since(begun).wall, found.convergence
         if exact is None:
             exact = direct_solution(problem, prior)
         assert of is not None
@@ -501,14 +500,14 @@ def judge_large_motion(
     """
     case = random_large_motion(dice_of(seed, number), axes, number % 2 == 0)
     problem, kinds = case.problem, {"targets": case.kind}
-    begun = time.perf_counter()
+    begun = now()
     try:
         found = solve(problem, case.prior, backend=backend)
     except HmrfError as error:
         note = f"{type(error).__name__}: {error}"
         yield Verdict("refused: by the solver", kinds, note=note)
         return
-    seconds = time.perf_counter() - begun
+    seconds = since(begun).wall
     reach, of = found.reach, found.convergence
     assert reach is not None
     assert of is not None
@@ -629,24 +628,23 @@ def run(
 ) -> Run:
     """Judge the problems with some numbers; if `loud`, print the progress."""
     options = f"{name} --seed {seed}" + ("" if backend == "cpu" else f" --backend {backend}")
-    begun, last, plan = time.perf_counter(), 0.0, list(numbers)
+    begun, last, plan = now(), 0.0, list(numbers)
     verdicts: list[tuple[int, Verdict]] = []
-    process = psutil.Process()
-    memory = [process.memory_info().rss / 1e6]
+    memory = [resident_bytes() / 1e6]
     for done, number in enumerate(plan, start=1):
         new = [(number, verdict) for verdict in CAMPAIGNS[name].judge(seed, number, backend)]
         verdicts += new
-        memory.append(process.memory_info().rss / 1e6)
+        memory.append(resident_bytes() / 1e6)
         for _, verdict in new if loud else ():
             if verdict.is_fault or len(plan) == 1:
                 print(_line(number, verdict, options), file=sys.stderr, flush=True)
-        now = time.perf_counter()
-        if loud and now - last > 10:
-            last = now
-            print(f"{name}: {done} of {len(plan)}, {now - begun:.0f} s", file=sys.stderr)
+        seconds = since(begun).wall
+        if loud and seconds - last > 10:
+            last = seconds
+            print(f"{name}: {done} of {len(plan)}, {seconds:.0f} s", file=sys.stderr)
     tenth = len(memory) // 10
     grown = max(memory[tenth:]) - memory[tenth]
-    return Run(name, options, verdicts, time.perf_counter() - begun, grown)
+    return Run(name, options, verdicts, since(begun).wall, grown)
 
 
 def report(of: Run, most: int = 10) -> str:

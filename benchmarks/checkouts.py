@@ -7,13 +7,14 @@ import json
 import os
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import stats
+
+from benchmarks.clock import now, since
 
 ROOT = Path(__file__).resolve().parent.parent
 #: Result of a turn: quantities by name.
@@ -120,9 +121,9 @@ def in_turn(
     At least three turns are taken, and no further turn after a number of `seconds`.
     """
     answers: list[list[Turn]] = [[] for _ in workers]
-    begun = time.perf_counter()
+    begun = now()
     for number in range(turns):
-        if number >= 3 and time.perf_counter() - begun > seconds:
+        if number >= 3 and since(begun).wall > seconds:
             break
         order = range(len(workers)) if number % 2 == 0 else reversed(range(len(workers)))
         for index in order:

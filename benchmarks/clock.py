@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+import psutil
 
 try:
     import resource
@@ -47,11 +48,28 @@ class Times(NamedTuple):
     processor: float
 
 
+def now() -> Times:
+    """Return the present times, to subtract from later times."""
+    return Times(time.perf_counter(), _processor_seconds())
+
+
+def since(begun: Times) -> Times:
+    """Return the times since a result of `now`."""
+    ended = now()
+    return Times(ended.wall - begun.wall, ended.processor - begun.processor)
+
+
 def timed(work: Callable[[], _Result]) -> tuple[_Result, Times]:
     """Return the result of a call and its times."""
-    wall, processor = time.perf_counter(), _processor_seconds()
+    begun = now()
     result = work()
-    return result, Times(time.perf_counter() - wall, _processor_seconds() - processor)
+    return result, since(begun)
+
+
+def fastest(work: Callable[[], _Result], count: int) -> tuple[_Result, Times]:
+    """Return the last result of several calls, and the least of each time."""
+    results, times = zip(*(timed(work) for _ in range(count)), strict=True)
+    return results[-1], Times(*map(min, zip(*times, strict=True)))
 
 
 def median_times(times: Sequence[Times]) -> Times:
@@ -119,6 +137,11 @@ def peak_megabytes(begin: bool = False) -> float:
         lines = status.read_text(encoding="ascii").splitlines()
         return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / _PER_MEGABYTE
+
+
+def resident_bytes() -> int:
+    """Return the memory of this process at present, in bytes."""
+    return int(psutil.Process().memory_info().rss)
 
 
 def peak_of_programs() -> float:

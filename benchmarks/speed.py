@@ -28,7 +28,6 @@ import statistics
 import sys
 import tempfile
 import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -47,7 +46,7 @@ from benchmarks.checkouts import (
     serve,
     start_workers,
 )
-from benchmarks.clock import Times, conditions, repeated, with_memory
+from benchmarks.clock import Times, conditions, now, repeated, with_memory
 from benchmarks.table import duration, head, line
 from napari_hmrf import (
     ElasticPrior,
@@ -780,12 +779,12 @@ def batch(size: int) -> dict[str, Work]:
         moments = []
         for named in cases:
             solve_case(named.case, out / named.name, backend="cpu", changes=named.changes)
-            moments.append(time.perf_counter())
+            moments.append(now().wall)
         return moments
 
     def run(out: Path, folder: object = folder, **workers: Any) -> list[float]:
         moments: list[float] = []
-        solve_cases(cases, out, progress=lambda _: moments.append(time.perf_counter()), **workers)
+        solve_cases(cases, out, progress=lambda _: moments.append(now().wall), **workers)
         return moments
 
     def note(moments: list[float]) -> str:

@@ -39,7 +39,7 @@ from qtpy.QtGui import QMouseEvent
 from qtpy.QtWidgets import QApplication
 
 from benchmarks.checkouts import Turn, checkout, in_turn, ratio, serve, start_workers
-from benchmarks.clock import conditions
+from benchmarks.clock import conditions, now, since
 from benchmarks.speed import textured_head
 from benchmarks.table import head, line
 from napari_hmrf.data import phantom
@@ -74,7 +74,7 @@ class Window:
         self._canvas: Any = self.viewer.window._qt_viewer.canvas
         self._native = self._canvas.native
         self._shown: list[float] = []
-        self._native.frameSwapped.connect(lambda: self._on_frame(time.perf_counter()))
+        self._native.frameSwapped.connect(lambda: self._on_frame(now().wall))
 
     def add_dock(self) -> Any:
         """Add the dock of the package, show the window, and return the dock."""
@@ -113,9 +113,9 @@ class Window:
             self._native, QMouseEvent(kind, place, there, changed, pressed, modifiers)
         )
 
-    def _on_frame(self, now: float) -> None:
+    def _on_frame(self, at: float) -> None:
         """Note that the canvas has been shown on the screen."""
-        self._shown.append(now)
+        self._shown.append(at)
 
 
 class ImageWindow(Window):
@@ -163,27 +163,28 @@ class ImageWindow(Window):
         self.settle()
         mouse = _Poster(self._on_mouse, 1 / _MOUSE, compress=True)
         questions = _Poster(lambda asked: None, _ASKING)
-        self._begun = time.perf_counter()
+        self._begun = now().wall
         self.send(QEvent.Type.MouseButtonPress, self._place(0.0))
         self.wait(0.5)
         self._late.clear()
         self._seen = None
-        self._begun, own, every = time.perf_counter(), time.thread_time(), time.process_time()
+        began, own = now(), time.thread_time()
+        self._begun = began.wall
         mouse.start()
         questions.start()
         self.wait(seconds)
         mouse.stop()
         questions.stop()
-        took = time.perf_counter() - self._begun
+        took = since(began)
         pictures = max(len(self._late), 1)
         found = {
             "late": self._late.copy(),
-            "rate": len(self._late) / took,
+            "rate": len(self._late) / took.wall,
             "thread": (time.thread_time() - own) / pictures,
-            "all": (time.process_time() - every) / pictures,
+            "all": took.processor / pictures,
             "click": questions.waits,
         }
-        self.send(QEvent.Type.MouseButtonRelease, self._place(took))
+        self.send(QEvent.Type.MouseButtonRelease, self._place(took.wall))
         self.settle()
         self._dock.undo()
         self.settle()
@@ -208,12 +209,12 @@ class ImageWindow(Window):
     def _on_result(self, result: Any) -> None:
         self._seen = result.study.motion.drawing
 
-    def _on_frame(self, now: float) -> None:
+    def _on_frame(self, at: float) -> None:
         # A result is known by its drawing.
         known = self._moved.pop(id(self._seen), None)
         self._seen = None
         if known is not None:
-            self._late.append(now - known[1])
+            self._late.append(at - known[1])
 
 
 class VolumeWindow(Window):
@@ -250,20 +251,20 @@ class VolumeWindow(Window):
         """Move for a number of seconds, undo the drag, and return the measured times."""
         self.send(QEvent.Type.MouseButtonPress, self._place(0))
         late: list[float] = []
-        begun, own, every = time.perf_counter(), time.thread_time(), time.process_time()
-        while len(late) < 3 or time.perf_counter() - begun < seconds:
-            moved, results = time.perf_counter(), len(self._results)
+        began, own = now(), time.thread_time()
+        while len(late) < 3 or since(began).wall < seconds:
+            moved, results = now(), len(self._results)
             self._native._last_time = 0.0  # vispy drops moves in quick succession
             self.send(QEvent.Type.MouseMove, self._place(1 + len(late) % 20))
             self._wait_until(partial(_is_longer, self._results, results))
             self._wait_until(partial(_is_longer, self._shown, len(self._shown)))
-            late.append(time.perf_counter() - moved)
-        took = time.perf_counter() - begun
+            late.append(since(moved).wall)
+        took = since(began)
         found = {
             "late": late,
-            "rate": len(late) / took,
+            "rate": len(late) / took.wall,
             "thread": (time.thread_time() - own) / len(late),
-            "all": (time.process_time() - every) / len(late),
+            "all": took.processor / len(late),
             "click": [],
         }
         self.send(QEvent.Type.MouseButtonRelease, self._place(1 + len(late) % 20))
@@ -280,9 +281,9 @@ class VolumeWindow(Window):
         return QPointF(QPoint(round(x / w), round(y / w)))
 
     def _wait_until(self, condition: Callable[[], bool]) -> None:
-        end = time.perf_counter() + _LATEST
+        began = now()
         while not condition():
-            if time.perf_counter() > end:
+            if since(began).wall > _LATEST:
                 raise SystemExit("there was no picture")
             QApplication.processEvents()
             time.sleep(0.002)
@@ -332,20 +333,18 @@ class _Poster(QObject):
         with self._lock:
             pending, self._pending = self._pending, []
         if pending:
-            now = time.perf_counter()
-            self.waits += [now - posted for posted in pending]
+            answered = now().wall
+            self.waits += [answered - posted for posted in pending]
             self._answer(pending[-1])
 
     def _run(self) -> None:
-        begun, count = time.perf_counter(), 0
-        while not self._over.wait(
-            max(0.0, (count + 1) * self._pause - (time.perf_counter() - begun))
-        ):
+        began, count = now(), 0
+        while not self._over.wait(max(0.0, (count + 1) * self._pause - since(began).wall)):
             count += 1
             with self._lock:
                 is_posted = bool(self._pending)
-                now = time.perf_counter()
-                self._pending = [now] if self._compress else [*self._pending, now]
+                posted = now().wall
+                self._pending = [posted] if self._compress else [*self._pending, posted]
             if not is_posted:
                 QApplication.postEvent(self, QEvent(self._KIND))
 

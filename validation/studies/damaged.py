@@ -28,9 +28,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-import psutil
 
-from benchmarks.clock import timed
+from benchmarks.clock import resident_bytes, timed
 from napari_hmrf import (
     Arrow,
     Drawing,
@@ -514,7 +513,7 @@ def read_damaged(trial: tuple[str, int, int]) -> Findings:
     kind = KINDS[name]
     is_archive = kind.kept.save is not None
     outcomes, longest, peak = Counter[str](), 0.0, 0
-    process, start, most = psutil.Process(), 0, 0
+    start, most = 0, 0
     with tempfile.TemporaryDirectory() as folder:
         whole = Path(folder, f"whole{kind.suffix}")
         kind.make(whole)
@@ -536,7 +535,7 @@ def read_damaged(trial: tuple[str, int, int]) -> Findings:
                 peak = max(peak, tracemalloc.get_traced_memory()[1])
                 tracemalloc.stop()
             path.unlink()
-            size = process.memory_info().rss
+            size = resident_bytes()
             start, most = (size, size) if number < _WARM_UP else (start, max(most, size))
             outcomes[outcome] += 1
     counts = [outcomes[each] for each in _OUTCOMES]

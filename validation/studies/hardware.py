@@ -18,7 +18,6 @@ import math
 import os
 import statistics
 import textwrap
-import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -30,7 +29,7 @@ os.environ.setdefault("NAPARI_HMRF_COMPILE", "here")
 import numba
 import numpy as np
 
-from benchmarks.clock import Times, median_times, timed
+from benchmarks.clock import Times, fastest, median_times, now, timed
 from benchmarks.speed import ellipsoid, growing
 from napari_hmrf import ICM, BackendError, ElasticPrior, Multigrid, Problem, Solution, solve
 from napari_hmrf.data import phantom
@@ -181,7 +180,7 @@ def _seconds(times: Times) -> float:
 def _least(run: Callable[[], object]) -> float:
     """Return the least time of several runs, in seconds."""
     run()
-    return min(_seconds(timed(run)[1]) for _ in range(_REPEATS))
+    return _seconds(fastest(run, _REPEATS)[1])
 
 
 def limits() -> tuple[float, float]:
@@ -343,7 +342,7 @@ def measure(
 
         def note(monitor: Monitor, moments: list[float] = moments) -> None:
             if monitor.message.startswith("cycle"):
-                moments.append(time.perf_counter())
+                moments.append(now().wall)
 
         run = partial(solve, problem, prior, optimizer=optimizer, backend=backend, progress=note)
         found, own = timed(run)

@@ -13,7 +13,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
-from benchmarks.clock import timed
+from benchmarks.clock import fastest, timed
 from napari_hmrf import (
     ICM,
     ElasticPrior,
@@ -477,7 +477,7 @@ def solved(name: str, energy: Callable[[Solution], float], runs: list[Callable[[
     curve = Curve(name)
     for run in runs:
         solution = run()
-        curve.seconds.append(min(timed(run)[1].wall for _ in range(8)))
+        curve.seconds.append(fastest(run, 8)[1].wall)
         curve.excess.append(energy(solution))
     return curve
 

@@ -43,9 +43,8 @@ from types import FrameType
 from typing import Any, NamedTuple
 
 import numpy as np
-import psutil
 
-from benchmarks.clock import timed
+from benchmarks.clock import now, resident_bytes, since, timed
 from napari_hmrf import (
     Arrow,
     Drawing,
@@ -758,7 +757,7 @@ def long_use(plan: Plan) -> Findings:
         QApplication.processEvents()
         if finish:
             gc.collect()
-            megabytes.append(psutil.Process().memory_info().rss / 2**20)
+            megabytes.append(resident_bytes() / 2**20)
     camera.zoom = zoom
     _deform(widget, turns[-1])
     changed = picture != viewer.screenshot(canvas_only=True, flash=False)
@@ -792,10 +791,10 @@ def _start(widget: Any, turn: tuple[str, str]) -> None:
 
 def _deform(widget: Any, turn: tuple[str, str]) -> Any:
     _start(widget, turn)
-    deadline = time.perf_counter() + _PATIENCE
+    begun = now()
     while not widget.idle:
         _pump(0.005)
-        if time.perf_counter() > deadline:
+        if since(begun).wall > _PATIENCE:
             raise TimeoutError("a deformation did not end within four minutes")
     return widget.solution
 
@@ -803,9 +802,9 @@ def _deform(widget: Any, turn: tuple[str, str]) -> Any:
 def _pump(seconds: float) -> None:
     from qtpy.QtWidgets import QApplication
 
-    until = time.perf_counter() + seconds
+    begun = now()
     while True:
         QApplication.processEvents()
-        if time.perf_counter() >= until:
+        if since(begun).wall >= seconds:
             return
         time.sleep(0.001)

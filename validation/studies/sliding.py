@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from benchmarks.clock import timed
+from benchmarks.clock import fastest, timed
 from napari_hmrf import ElasticPrior, Problem, Solution, solve
 from napari_hmrf.solver.interface_normals import interface_normals
 from napari_hmrf.tissue import SlidingParts
@@ -247,9 +247,9 @@ def cycles(pair: tuple[Problem, Problem]) -> tuple[list[int], float]:
     """Compare the numbers of cycles and the times with those of connected tissue."""
     counts, seconds = [], []
     for problem in pair:
-        runs = [timed(lambda given=problem: _field_of(given)) for _ in range(3)]
-        counts.append(len(runs[-1][0].energy) - 1)
-        seconds.append(min(times.wall for _, times in runs))
+        found, times = fastest(lambda given=problem: _field_of(given), 3)
+        counts.append(len(found.energy) - 1)
+        seconds.append(times.wall)
     return counts, seconds[0] / seconds[1]
 
 

@@ -8,7 +8,6 @@ of the same size. ``python -m benchmarks.speed sample`` measures the time of a s
 from __future__ import annotations
 
 import itertools
-import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -20,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from benchmarks.clock import timed
+from benchmarks.clock import fastest, now, timed
 from napari_hmrf import ElasticPrior, Problem, solve
 from napari_hmrf.io.images import read_image
 from napari_hmrf.landmarks import Landmarks, StrainScale
@@ -580,12 +579,12 @@ def brain(case: tuple[Path | None, int]) -> list[list[str]]:
     solved = timed(lambda: solve(moved, backend="cpu"))[1].wall
     values = np.ones(1 << 27, np.float32)
     copies = [_copied(values)]
-    marks = [(time.perf_counter(), time.process_time())]
+    marks = [now()]
     uncertainty(
         problem,
         n=count,
         backend="cpu",
-        progress=lambda _: marks.append((time.perf_counter(), time.process_time())),
+        progress=lambda _: marks.append(now()),
     )
     copies.append(_copied(values))
     (setup, *samples), (work, *works) = np.diff(np.transpose(marks))
@@ -606,4 +605,4 @@ def brain(case: tuple[Path | None, int]) -> list[list[str]]:
 
 def _copied(values: npt.NDArray[np.float32]) -> float:
     """Return the speed of a copy on one thread, read and written, in GB/s."""
-    return 2e-9 * values.nbytes / min(timed(values.copy)[1].wall for _ in range(3))
+    return 2e-9 * values.nbytes / fastest(values.copy, 3)[1].wall
