@@ -29,7 +29,7 @@ help:
 	@echo "make wheel        build the wheel, and try it with the oldest and the newest napari that it allows"
 	@echo "make mutations    break the package in many places, one by one, and see a test fail: NAMES=solver"
 	@echo "make speed        time and memory of this package: NAMES='solve drag', AGAINST=folder compares checkouts"
-	@echo "make peers        time this package beside PyAMG, SuperLU and CalculiX: NAMES=volumes"
+	@echo "make peers        time this package beside PyAMG, SuperLU and CalculiX: NAMES=peers.volumes"
 	@echo "make report       measure the tables of the validation report again: ten minutes"
 	@echo "make screenshots  draw the pictures of the documentation again: NAMES=tutorials"
 	@echo "make sample-data  make the files of sample_data/ again"
@@ -87,8 +87,9 @@ speed: setup
 window: setup-for-windows
 	@$(HEADLESS) $(RUN) -m benchmarks.window $(if $(AGAINST),--against $(AGAINST))
 
+peers: NAMES = peers
 peers: setup-for-report
-	@$(RUN) -m benchmarks.peers $(NAMES)
+	@$(RUN) -m validation $(NAMES)
 
 paper: setup
 	@$(RUN) -m validation paper.table-1 paper.table-2

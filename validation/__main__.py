@@ -28,7 +28,8 @@ MODULES = {
     "hardware": "validation.studies.hardware",
     "robustness": "validation.studies.robustness",
     "damaged": "validation.studies.damaged",
-    "speed": "benchmarks.peers",
+    "speed": "validation.studies.peers",
+    "peers": "validation.studies.peers",
 }
 #: Studies of `make report`. Speed is first, before the machine becomes warm.
 REPORT = ("speed", "paper", "elasticity", "registration.figure-4c", "volumes", "loads", "resection")
@@ -44,7 +45,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name in names:
         if name.partition(".")[0] not in MODULES:
             reader.error(f"unknown study {name}; known: report, {', '.join(MODULES)}")
-    for group in [name.partition(".")[0] for name in names] or MODULES:
+    # A page states the commit of all its studies, so all are known before it is written.
+    groups = MODULES if given.write else [name.partition(".")[0] for name in names]
+    for group in groups or MODULES:
         importlib.import_module(MODULES[group])
     if not names:
         for one in STUDIES.values():

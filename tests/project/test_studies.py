@@ -71,7 +71,7 @@ def test_results_are_found_again(example, tmp_path):
 def test_commands_of_pages_name_studies(capsys):
     assert main([]) == 0
     listed = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
-    known = {"report", "NAME", *MODULES, *listed}
+    known = {"report", "NAME", "$(NAMES)", *MODULES, *listed}
     named = re.findall(r"-m validation(.*)", (ROOT / "Makefile").read_text())
     for page in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]:
         named += re.findall(r"-m validation([^`]*)`", page.read_text(encoding="utf-8"))

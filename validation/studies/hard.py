@@ -23,10 +23,10 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from benchmarks.clock import one_heap
-from benchmarks.peers import Run, has_pyamg, run_ours, run_pyamg, run_superlu
 from napari_hmrf import ElasticPrior, Problem
 from napari_hmrf.data import phantom
 from validation.oracles.elasticity import exact_field, refined
+from validation.studies.peers import Run, has_pyamg, run_ours, run_pyamg, run_superlu
 from validation.study import Options, Results, Table, study
 
 Array = npt.NDArray[Any]

@@ -1,30 +1,26 @@
 """Time, memory and error of this package beside other programs, in one process.
 
-    python -m benchmarks.peers [images] [volumes] [direct] [cube] [transforms] [--sizes SIZE ...]
-    python -m benchmarks.peers images --write
+    python -m validation peers
+    python -m validation peers.images --write
 
-`images` prints the table of the README: the elastic model by compiled loops and by shaders, PyAMG,
-SuperLU and CalculiX. `volumes` compares a growing ball with PyAMG, and `transforms` a
-random deformation with the elastic transforms of MONAI and SciPy. Two comparisons run only if they
-are named, because they take minutes: `direct` compares volumes of random stiffness with MKL's
-PARDISO, and `cube` a uniform cube with torch-fem. Programs that are not installed are skipped:
-PyAMG belongs to the extra `report`, PARDISO and torch-fem to `rivals`, MONAI to `monai`; CalculiX
-is the system package `calculix-ccx`. --write also replaces the tables in README.md and in
-docs/validation/volumes.md.
+`peers.images` prints the table of the README: the elastic model by compiled loops and by shaders,
+PyAMG, SuperLU and CalculiX. `peers.volumes` compares a growing ball with PyAMG, and
+`peers.transforms` a random deformation with the elastic transforms of MONAI and SciPy. Two studies
+run only if they are named, because they take minutes: `peers.direct` compares volumes of random
+stiffness with MKL's PARDISO, and `peers.cube` a uniform cube with torch-fem. Programs that are not
+installed are skipped: PyAMG belongs to the extra `report`, PARDISO and torch-fem to `rivals`, MONAI
+to `monai`; CalculiX is the system package `calculix-ccx`.
 """
 
 from __future__ import annotations
 
-import argparse
 import importlib.util
 import math
 import statistics
 import sys
-import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -35,13 +31,13 @@ from threadpoolctl import threadpool_limits
 from benchmarks import table
 from benchmarks.clock import (
     Times,
-    conditions,
+    now,
     one_heap,
-    peak_megabytes,
     peak_of_programs,
     repeated,
+    since,
     timed,
-    trim_memory,
+    with_memory,
 )
 from benchmarks.speed import Work, edit, growing, random_deformation
 from napari_hmrf import (
@@ -69,7 +65,6 @@ from validation.study import Options, Table, Target, backends, study
 from validation.study import Results as StudyResults
 
 Field = npt.NDArray[Any]
-ROOT = Path(__file__).resolve().parent.parent
 PHANTOM, PRIOR = "mass-effect", ElasticPrior()
 #: Definition of "converged": largest distance of any site from the converged field, in pixels.
 WITHIN = 0.01
@@ -140,20 +135,17 @@ def distance(field: Field, exact: Field) -> float:
 
 def timed_run(run: Callable[[int], Run], turns: int = 3) -> Run:
     """Run and measure, and repeat short runs; `run` receives the number of the turn."""
-    trim_memory()
-    before = peak_megabytes(begin=True)
-    seconds: list[float] = []
-    first: Run | None = None
-    for turn in range(turns):
-        latest, times = timed(lambda turn=turn: run(turn))
-        # A run may report its own time, which excludes other work.
-        seconds.append(times.wall if math.isnan(latest.seconds) else latest.seconds)
-        if first is None:
-            first = replace(latest, megabytes=peak_megabytes() - before)
-        if seconds[-1] >= _SHORT:
-            break
-    assert first is not None
-    return replace(first, seconds=statistics.median(seconds))
+    first, megabytes = with_memory(lambda: _with_time(run, 0))
+    seconds = [first.seconds]
+    while len(seconds) < turns and seconds[-1] < _SHORT:
+        seconds.append(_with_time(run, len(seconds)).seconds)
+    return replace(first, megabytes=megabytes, seconds=statistics.median(seconds))
+
+
+def _with_time(run: Callable[[int], Run], turn: int) -> Run:
+    """Return a run with its time; a run may report its own, which excludes other work."""
+    found, times = timed(lambda: run(turn))
+    return replace(found, seconds=times.wall) if math.isnan(found.seconds) else found
 
 
 # Solvers of images.
@@ -186,12 +178,12 @@ def run_ours(
             stiffness=images.stiffness * np.float32(2 ** (turn % 8) if is_new else 1),
             spacing=images.spacing,
         )
-        started = time.perf_counter()
+        started = now()
         try:
             found = solve(problem, prior, optimizer=optimizer, backend=backend)
         except ConvergenceError:
-            return Run(None, fault="not converged", seconds=time.perf_counter() - started)
-        took = time.perf_counter() - started
+            return Run(None, fault="not converged", seconds=since(started).wall)
+        took = since(started).wall
         reported = math.nan if found.convergence is None else found.convergence.error
         way = str(getattr(found.convergence, "way", ""))
         return Run(found.displacement, found.iterations, "", reported, way, took)
@@ -261,7 +253,7 @@ def run_pyamg(
     import pyamg
 
     def run(turn: int) -> Run:
-        started, checks = time.perf_counter(), 0.0
+        started, checks = now(), 0.0
         np.random.seed(2008)  # PyAMG estimates spectral radii from a random vector  # noqa: NPY002
         system = assemble(images, prior)
         hierarchy = pyamg.smoothed_aggregation_solver(
@@ -273,17 +265,17 @@ def run_pyamg(
 
         def check(solution: Field) -> None:
             nonlocal decades, iterations, latest, checks
-            begun = time.perf_counter()
+            begun = now()
             iterations += 1
             latest = solution
-            if begun - started - checks > patience:
+            if begun.wall - started.wall - checks > patience:
                 raise _Late
             left = residuals[-1] / residuals[0]
             passed = math.floor(-math.log10(left)) if left > 0 else _MOST_DECADES
             is_checked = passed > decades or not by_decade
             decades = max(passed, decades)
             is_enough = is_checked and distance(system.field(solution), exact) <= within
-            checks += time.perf_counter() - begun
+            checks += since(begun).wall
             if is_enough:
                 raise _Enough
 
@@ -302,7 +294,7 @@ def run_pyamg(
             fault = ""
         except _Late:
             fault = "later"
-        took = time.perf_counter() - started - checks
+        took = since(started).wall - checks
         how = "" if fault else f"1e-{decades}"
         return Run(system.field(latest), iterations, fault, how=how, seconds=took)
 
@@ -403,7 +395,6 @@ def is_there(name: str) -> bool:
     return name != "calculix" or calculix.is_there()
 
 
-README = ROOT / "README.md"
 _README_TITLES = ("image", "compiled loops", "shaders (software OpenGL)", "PyAMG", "SuperLU")
 _README_TITLES += ("RMS difference from finite elements",)
 
@@ -426,13 +417,19 @@ def _short_duration(seconds: float) -> str:
     return f"{seconds:.2f} s" if seconds < 1 else f"{seconds:.2g} s"
 
 
-def images(sizes: Sequence[int], is_written: bool) -> None:
-    """Print the table of the README, and the table of the report."""
-    results, differences = solve_images(sizes or (300, 600, 1200))
-    own = readme_table(results, differences)
-    print(f"{own}\n\n{all_solvers(results)}")
-    if is_written:
-        table.replace(README, own)
+def _images(sizes: Sequence[int]) -> Callable[[Options], dict[str, Sequence[int]]]:
+    return lambda options: {"images": options.sizes_or(sizes, (48, 64))}
+
+
+@study(
+    "peers.images",
+    _images((300, 600, 1200)),
+    lambda results: [readme_table(*results["images"]), all_solvers(results["images"][0])],
+    page="../../README.md",
+)
+def images(sizes: Sequence[int]) -> tuple[Results, Differences]:
+    """Time every solver, and compare the fields with finite elements."""
+    return solve_images(sizes)
 
 
 def all_solvers(results: Results) -> str:
@@ -470,7 +467,7 @@ BOUNDS = {
 
 @study(
     "speed.solvers",
-    lambda options: {"images": options.sizes_or((150, 300, 600, 1200), (48, 64))},
+    _images((150, 300, 600, 1200)),
     lambda results: [all_solvers(results["images"])],
     targets=lambda results: speed_targets(results["images"]),
 )
@@ -538,7 +535,6 @@ def warm_starts(case: tuple[int, Work]) -> tuple[int, float]:
 
 # Volumes.
 
-PAGE = ROOT / "docs" / "validation" / "volumes.md"
 # Ratio of the largest to the smallest stiffness, and tolerance in voxels, of `direct`.
 _CONTRAST, _TOLERANCE = 1e4, 0.001
 # PARDISO's type of a real symmetric positive definite matrix, given by its upper triangle.
@@ -556,13 +552,23 @@ def _is_missing(module: str, extra: str) -> bool:
     return missing
 
 
-def volumes(sizes: Sequence[int], is_written: bool) -> None:
-    """Print the times of PyAMG and of this package for a cube in which a ball grows."""
-    if _is_missing("pyamg", "report"):
-        return
-    rows = [row for size in sizes or (32,) for row in _beside_pyamg(growing(size))]
-    titles = ("voxels", "solver", "iterations", "wall", "processor", "relative")
-    print(table.markdown((*titles, "difference, voxels"), rows))
+def _cubes(size: int, quick: int) -> Callable[[Options], dict[str, int]]:
+    return lambda options: {f"{each}^3": each for each in options.sizes_or((size,), (quick,))}
+
+
+_VOLUMES = ("voxels", "solver", "iterations", "wall", "processor", "relative")
+_VOLUMES += ("difference, voxels",)
+
+
+@study(
+    "peers.volumes",
+    _cubes(32, 12),
+    _VOLUMES,
+    page="../concepts/volumes.md",
+)
+def volumes(size: int) -> list[list[Any]]:
+    """Time PyAMG and this package for a cube in which a ball grows."""
+    return [] if _is_missing("pyamg", "report") else _beside_pyamg(growing(size))
 
 
 def _beside_pyamg(problem: Problem) -> list[list[Any]]:
@@ -593,8 +599,13 @@ def _beside_pyamg(problem: Problem) -> list[list[Any]]:
     ]
 
 
-def direct(sizes: Sequence[int], is_written: bool) -> None:
-    """Print distances to the solution of scikit-fem's matrix by PARDISO."""
+_DIRECT = ("voxels", "Poisson's ratio", "largest difference of any site, voxels")
+_DIRECT += ("reported error, voxels", "cycles")
+
+
+@study("peers.direct", _cubes(48, 10), _DIRECT, page="volumes.md", on_request=True)
+def direct(size: int) -> Iterator[list[Any]]:
+    """Compare a volume of random stiffness with the solution of scikit-fem's matrix by PARDISO."""
     if _is_missing("pypardiso", "rivals"):
         return
     from pypardiso import PyPardisoSolver
@@ -607,55 +618,41 @@ def direct(sizes: Sequence[int], is_written: bool) -> None:
         solver.free_memory(everything=True)
         return np.asarray(found)
 
-    rows = []
-    for size in sizes or (48,):
-        problem = random_block(size, _CONTRAST, (2.0, 1.0, -0.6), balls=24)
-        for poisson in (0.3, 0.45, 0.49):
-            prior, optimizer = ElasticPrior(poisson), Multigrid(_TOLERANCE)
-            found = solve(problem, prior, optimizer=optimizer, backend="cpu")
-            expected, times = timed(
-                lambda problem=problem, prior=prior: direct_solution(
-                    problem, prior, solved=by_pardiso
-                )
-            )
-            print(f"PARDISO: {table.duration(times.wall)}", file=sys.stderr, flush=True)
-            off = float(np.abs(found.displacement - expected).max()) / problem.unit
-            assert found.convergence is not None
-            error = f"{found.convergence.error:.1e}"
-            rows.append([f"{size}^3", poisson, f"{off:.1e}", error, found.iterations])
-    titles = ["voxels", "Poisson's ratio", "largest difference of any site, voxels"]
-    _print_table([*titles, "reported error, voxels", "cycles"], rows, is_written)
+    problem = random_block(size, _CONTRAST, (2.0, 1.0, -0.6), balls=24)
+    for poisson in (0.3, 0.45, 0.49):
+        prior, optimizer = ElasticPrior(poisson), Multigrid(_TOLERANCE)
+        found = solve(problem, prior, optimizer=optimizer, backend="cpu")
+        expected, times = timed(
+            lambda prior=prior: direct_solution(problem, prior, solved=by_pardiso)
+        )
+        print(f"PARDISO: {table.duration(times.wall)}", file=sys.stderr, flush=True)
+        off = float(np.abs(found.displacement - expected).max()) / problem.unit
+        assert found.convergence is not None
+        error = f"{found.convergence.error:.1e}"
+        yield [f"{size}^3", poisson, f"{off:.1e}", error, found.iterations]
 
 
-def _print_table(titles: Sequence[str], rows: Sequence[Sequence[Any]], is_written: bool) -> None:
-    """Print a table of the page on volumes, and also write it to the page."""
-    text = table.markdown(titles, rows)
-    print(text)
-    if is_written:
-        table.replace(PAGE, text)
+_CUBE = ("solver of the uniform cube", "CPU seconds", "relative to napari-hmrf")
 
 
-def cube(sizes: Sequence[int], is_written: bool) -> None:
-    """Print the times of a uniform cube, here and by torch-fem, for the same residual."""
+@study("peers.cube", _cubes(40, 10), _CUBE, page="volumes.md", on_request=True)
+def cube(nodes: int) -> Iterator[list[Any]]:
+    """Time the solve of a uniform cube, here and by torch-fem, for the same residual."""
     if _is_missing("torchfem", "rivals"):
         return
-    rows = []
-    for nodes in sizes or (40,):
-        small, problem = stretched_cube(16), stretched_cube(nodes)
-        for each in (small, problem):  # the first loads the loops
-            found, ours = to_residual(each)
-        left = residual(problem, found.displacement)
-        name = f"napari-hmrf, {nodes}^3 nodes, {found.iterations} cycles, to {left:.1e}"
-        rows.append([name, f"{ours.processor:.1f}", 1])
-        for title, preconditioner in (("Jacobi", "jacobi"), ("algebraic multigrid", "amg")):
-            for each in (small, problem):
-                field, theirs = by_torch_fem(each, preconditioner)
-            relative = theirs.processor / ours.processor
-            rows.append([f"torch-fem, {title}", f"{theirs.processor:.1f}", f"{relative:.0f}"])
-            apart = float(np.abs(field - found.displacement).max())
-            print(f"{title}: the fields differ by at most {apart:.1e} voxel")
-    titles = ("solver of the uniform cube", "CPU seconds", "relative to napari-hmrf")
-    _print_table(titles, rows, is_written)
+    small, problem = stretched_cube(16), stretched_cube(nodes)
+    for each in (small, problem):  # the first loads the loops
+        found, ours = to_residual(each)
+    left = residual(problem, found.displacement)
+    name = f"napari-hmrf, {nodes}^3 nodes, {found.iterations} cycles, to {left:.1e}"
+    yield [name, f"{ours.processor:.1f}", 1]
+    for title, preconditioner in (("Jacobi", "jacobi"), ("algebraic multigrid", "amg")):
+        for each in (small, problem):
+            field, theirs = by_torch_fem(each, preconditioner)
+        relative = theirs.processor / ours.processor
+        yield [f"torch-fem, {title}", f"{theirs.processor:.1f}", f"{relative:.0f}"]
+        apart = float(np.abs(field - found.displacement).max())
+        print(f"{title}: the fields differ by at most {apart:.1e} voxel")
 
 
 def stretched_cube(nodes: int) -> Problem:
@@ -712,33 +709,40 @@ def by_torch_fem(problem: Problem, preconditioner: str) -> tuple[Field, Times]:
 # Random deformations.
 
 
-def transforms(sizes: Sequence[int], is_written: bool) -> None:
-    """Print the times of a random deformation of an image and its labels."""
+def _grids(options: Options) -> dict[str, tuple[int, ...]]:
+    shapes = [
+        (options.sizes_or((size,), (quick,))[0],) * axes
+        for axes, size, quick in ((2, 256, 48), (3, 96, 16))
+    ]
+    return {" x ".join(map(str, shape)): shape for shape in shapes}
+
+
+_TRANSFORMS = ("image and labels", "transform", "wall", "processor", "relative processor time")
+
+
+@study("peers.transforms", _grids, _TRANSFORMS, page="../how-to/random-deformations.md")
+def transforms(shape: tuple[int, ...]) -> Iterator[list[Any]]:
+    """Time a random deformation of an image and its labels."""
     from napari_hmrf.fields import Picture
 
-    rows = []
-    for axes, size in ((2, 256), (3, 96)):
-        shape = (sizes[0] if sizes else size,) * axes
-        image, labels, deformation = random_deformation(shape)
-        pictures, seeds = (Picture(image), Picture(labels, order=0)), iter(range(10**9))
+    image, labels, deformation = random_deformation(shape)
+    pictures, seeds = (Picture(image), Picture(labels, order=0)), iter(range(10**9))
 
-        def ours(seed: int, deformation: Any = deformation, pictures: Any = pictures) -> object:
-            return deformation.sample(seed).pictures(*pictures)
+    def ours(seed: int) -> object:
+        return deformation.sample(seed).pictures(*pictures)
 
-        ours(next(seeds))
-        own = repeated(ours, lambda seeds=seeds: next(seeds), seconds=2.0)
-        name = " x ".join(map(str, shape))
-        rows.append([name, "napari-hmrf", *map(table.duration, own), 1])
-        others = {"SciPy": by_scipy(image, labels)}
-        if not _is_missing("monai", "monai"):
-            others[f"MONAI's Rand{axes}DElasticd"] = by_monai(image, labels)
-        for title, transform in others.items():
-            transform(None)
-            times = repeated(transform, seconds=2.0)
-            relative = times.processor / own.processor
-            rows.append([name, title, *map(table.duration, times), relative])
-    titles = ("image and labels", "transform", "wall", "processor", "relative processor time")
-    print(table.markdown(titles, rows))
+    ours(next(seeds))
+    own = repeated(ours, lambda: next(seeds), seconds=2.0)
+    name = " x ".join(map(str, shape))
+    yield [name, "napari-hmrf", *map(table.duration, own), 1]
+    others = {"SciPy": by_scipy(image, labels)}
+    if not _is_missing("monai", "monai"):
+        others[f"MONAI's Rand{len(shape)}DElasticd"] = by_monai(image, labels)
+    for title, transform in others.items():
+        transform(None)
+        times = repeated(transform, seconds=2.0)
+        relative = times.processor / own.processor
+        yield [name, title, *map(table.duration, times), relative]
 
 
 def by_scipy(image: Field, labels: Field) -> Callable[[object], object]:
@@ -771,34 +775,3 @@ def by_monai(image: Field, labels: Field) -> Callable[[object], object]:
     made.set_random_state(0)
     given = {"image": image[None], "label": labels[None]}
     return lambda _: made(given)
-
-
-#: Comparisons; the last two take minutes, and run only if they are named.
-COMPARISONS = {
-    "images": images,
-    "volumes": volumes,
-    "transforms": transforms,
-    "direct": direct,
-    "cube": cube,
-}
-_LONG = ("direct", "cube")
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the tables of the chosen comparisons."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("names", nargs="*", metavar="name", help=", ".join(COMPARISONS))
-    parser.add_argument("--sizes", type=int, nargs="+", default=[], help="sites along an axis")
-    parser.add_argument("--write", action="store_true", help="replace the tables of the pages")
-    options = parser.parse_args(arguments)
-    if unknown := [name for name in options.names if name not in COMPARISONS]:
-        parser.error(f"unknown comparisons: {', '.join(unknown)}")
-    print(conditions())
-    for name in options.names or [name for name in COMPARISONS if name not in _LONG]:
-        print()
-        COMPARISONS[name](options.sizes, options.write)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
