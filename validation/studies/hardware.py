@@ -211,12 +211,19 @@ class Timer:
 
     def __call__(self, *arguments: Any) -> Any:
         """Run the kernel."""
+        return self._timed(self._run, arguments)
+
+    def in_turns(self, count: int, *arguments: Any) -> None:
+        """Run the kernel in several turns."""
+        self._timed(partial(self._run.in_turns, count), arguments)
+
+    def _timed(self, run: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
         arrays = [
             each
             for each in arguments
             if isinstance(each, np.ndarray) and each.ndim > 1 and each.dtype.kind == "f"
         ]
-        result, times = timed(lambda: self._run(*arguments))
+        result, times = timed(lambda: run(*arguments))
         if arrays[self._own][0].size >= self._sites:
             steps = len(arguments[-2]) if self._batches else 1
             self.seconds += _seconds(times)
