@@ -629,11 +629,9 @@ def _dragged_ball(size: int, far: float) -> Problem:
 def _bent_bar(size: int) -> Problem:
     """Return a bar of a sixth of its length whose end is turned by 90 degrees along an arc."""
     height = max(size // 6, 3)
-    radius, off = (size - 1) / (np.pi / 2), np.arange(height) - (height - 1) / 2
     c, y = np.zeros((2, size, height, height, 3))
     c[0] = c[-1] = 1
-    y[-1, ..., 0] = (radius - off - (size - 1))[:, None]
-    y[-1, ..., 1] = (radius - off)[:, None]
+    y[-1, ..., :2] = turned(height, size, 90)[:, None, ::-1]  # the first axis is along the bar
     return Problem(observed=y, confidence=c, stiffness=np.ones((size, height, height)))
 
 
