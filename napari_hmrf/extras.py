@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-Extra = Literal["cluster", "film", "medical", "monai", "report", "rivals", "views"]
+Extra = Literal["cluster", "film", "medical", "monai", "peers", "report", "views"]
 
 
 def how_to_install(extra: Extra) -> str:

@@ -8,7 +8,7 @@ PyAMG, SuperLU and CalculiX. `peers.volumes` compares a growing ball with PyAMG,
 `peers.transforms` a random deformation with the elastic transforms of MONAI and SciPy. Two studies
 run only if they are named, because they take minutes: `peers.direct` compares volumes of random
 stiffness with MKL's PARDISO, and `peers.cube` a uniform cube with torch-fem. Programs that are not
-installed are skipped: PyAMG belongs to the extra `report`, PARDISO and torch-fem to `rivals`, MONAI
+installed are skipped: PyAMG belongs to the extra `report`, PARDISO and torch-fem to `peers`, MONAI
 to `monai`; CalculiX is the system package `calculix-ccx`.
 """
 
@@ -606,7 +606,7 @@ _DIRECT += ("reported error, voxels", "cycles")
 @study("peers.direct", _cubes(48, 10), _DIRECT, page="volumes.md", on_request=True)
 def direct(size: int) -> Iterator[list[Any]]:
     """Compare a volume of random stiffness with the solution of scikit-fem's matrix by PARDISO."""
-    if _is_missing("pypardiso", "rivals"):
+    if _is_missing("pypardiso", "peers"):
         return
     from pypardiso import PyPardisoSolver
 
@@ -638,7 +638,7 @@ _CUBE = ("solver of the uniform cube", "CPU seconds", "relative to napari-hmrf")
 @study("peers.cube", _cubes(40, 10), _CUBE, page="volumes.md", on_request=True)
 def cube(nodes: int) -> Iterator[list[Any]]:
     """Time the solve of a uniform cube, here and by torch-fem, for the same residual."""
-    if _is_missing("torchfem", "rivals"):
+    if _is_missing("torchfem", "peers"):
         return
     small, problem = stretched_cube(16), stretched_cube(nodes)
     for each in (small, problem):  # the first loads the loops
