@@ -27,8 +27,8 @@ except ImportError:  # Windows
     resource = None  # type: ignore[assignment]
 
 _Result = TypeVar("_Result")
-# Unit of ru_maxrss: KiB on Linux, bytes on macOS.
-_PER_MEGABYTE = 1024**2 if sys.platform == "darwin" else 1024
+# Megabytes in the unit of ru_maxrss: bytes on macOS, KiB elsewhere.
+_MEGABYTES = 1e-6 if sys.platform == "darwin" else 1024e-6
 # Value of M_ARENA_MAX in glibc's malloc.h.
 _ARENAS = -8
 
@@ -113,7 +113,7 @@ def _processor_seconds() -> float:
 
 
 def with_memory(work: Callable[[], _Result]) -> tuple[_Result, float]:
-    """Return the result of a call, and the peak memory of this process above that before, in MiB.
+    """Return the result of a call, and the peak memory of this process above that before, in MB.
 
     Except on Linux, the result is too small if the memory was larger at an earlier time.
     """
@@ -124,7 +124,7 @@ def with_memory(work: Callable[[], _Result]) -> tuple[_Result, float]:
 
 
 def peak_megabytes(begin: bool = False) -> float:
-    """Return the peak memory of this process in MiB, or NaN if it is unknown.
+    """Return the peak memory of this process in MB, or NaN if it is unknown.
 
     On Linux, the peak is measured since the last call with `begin`; elsewhere since the start.
     """
@@ -135,8 +135,9 @@ def peak_megabytes(begin: bool = False) -> float:
         if begin:
             Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
         lines = status.read_text(encoding="ascii").splitlines()
-        return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / _PER_MEGABYTE
+        kibibytes = next(int(line.split()[1]) for line in lines if line.startswith("VmHWM"))
+        return 1024e-6 * kibibytes
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _MEGABYTES
 
 
 def resident_bytes() -> int:
@@ -145,10 +146,10 @@ def resident_bytes() -> int:
 
 
 def peak_of_programs() -> float:
-    """Return the peak memory of the largest child process that has ended, in MiB."""
+    """Return the peak memory of the largest child process that has ended, in MB."""
     if resource is None:
         return math.nan
-    return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / _PER_MEGABYTE
+    return resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss * _MEGABYTES
 
 
 def one_heap() -> None:

@@ -897,7 +897,7 @@ def _row(
 
 
 def _memory(facts: Turn) -> str:
-    each = f" ({2**20 * facts['memory'] / facts['sites']:.0f} B a site)" if facts["sites"] else ""
+    each = f" ({1e6 * facts['memory'] / facts['sites']:.0f} B a site)" if facts["sites"] else ""
     return f"{facts['memory']:.{0 if facts['memory'] >= 10 else 1}f} MB{each}"
 
 
