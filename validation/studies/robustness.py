@@ -36,7 +36,6 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from types import FrameType
@@ -784,8 +783,7 @@ def _cancel(widget: Any) -> None:
 
 
 def _start(widget: Any, turn: tuple[str, str]) -> None:
-    device, widget.model = turn
-    widget.settings = replace(widget.settings, device=device)
+    widget.device, widget.model = turn
     widget.deform()
 
 
