@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from napari_hmrf.solver.backends.compile_cache import disk_cache
 from napari_hmrf.solver.backends.compile_cache.disk_cache import sources
 from napari_hmrf.solver.backends.cpu import compiled
 
@@ -38,6 +39,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
     # Python compares times of modules in seconds, and the tests edit a module sooner.
     monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    monkeypatch.setattr(disk_cache, "sources", lambda: sources(tmp_path))
     monkeypatch.syspath_prepend(tmp_path)
     shutil.copy(compiled.__file__, tmp_path)
     (tmp_path / "caller.py").write_text(CALLER)
