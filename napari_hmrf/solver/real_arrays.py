@@ -21,8 +21,10 @@ def as_numbers(field: str, value: Any) -> npt.NDArray[Any]:
         raise ProblemError(field, "is a masked array, whose mask would be lost. Fill it first.")
     try:
         array = np.asarray(value)
-    except ValueError as error:  # rows of different length
-        raise ProblemError(field, f"is not an array of numbers ({error}).") from None
+    except ValueError:
+        raise ProblemError(
+            field, "has rows of different lengths. Pass an array with a number for each pixel."
+        ) from None
     if array.dtype.kind not in "biuf" and not array.ndim:
         kind = type(value).__name__
         raise ProblemError(field, f"is {shown(value)}, of type {kind}. Pass real numbers.")
@@ -64,6 +66,27 @@ def whole_numbers(field: str, labels: Any) -> npt.NDArray[Any]:
         raise ProblemError(
             field,
             f"have the value {array[first]:g} at {first}. Pass whole numbers, one for each tissue.",
+        )
+    return array.astype(np.int32)
+
+
+def as_labels(field: str, labels: Any) -> npt.NDArray[np.int32]:
+    """Return labels as integers of 32 bits.
+
+    Raises
+    ------
+    ProblemError
+        If a label is not a whole number, or needs more than 32 bits; the message names `field`.
+    """
+    array = whole_numbers(field, labels)
+    limits = np.iinfo(np.int32)
+    beyond = (array < limits.min) | (array > limits.max)
+    if beyond.any():
+        first = first_index(beyond)
+        raise ProblemError(
+            field,
+            f"have the value {array[first]} at {first}, beyond 32 bits. Pass smaller numbers, such "
+            "as `np.unique(labels, return_inverse=True)[1]`.",
         )
     return array.astype(np.int32)
 

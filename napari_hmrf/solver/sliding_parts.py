@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from napari_hmrf.arguments import real, refuse_unless
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.real_arrays import whole_numbers
+from napari_hmrf.solver.real_arrays import as_labels
 
 #: Stiffness of the connection along the normal, relative to the softer of the two tissues.
 STRENGTH = 100.0
@@ -49,7 +49,7 @@ class SlidingParts:
     strength: float
 
     def __init__(self, labels: npt.ArrayLike, *, strength: float = STRENGTH) -> None:
-        given = whole_numbers("sliding", labels)
+        given = as_labels("sliding", labels)
         if given.ndim not in (2, 3):
             raise ProblemError(
                 "sliding",
@@ -58,7 +58,7 @@ class SlidingParts:
         low, high = _STRENGTHS
         is_valid = low <= real(strength) <= high
         refuse_unless(is_valid, "strength", strength, f"from {low:g} to {high:g}")
-        numbers = np.array(given, dtype=np.int32, order="C")
+        numbers = np.array(given, order="C")
         numbers.setflags(write=False)
         object.__setattr__(self, "labels", numbers)
         object.__setattr__(self, "strength", float(strength))

@@ -24,7 +24,7 @@ from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import Elastic, ElasticPrior, Prior
 from napari_hmrf.solver.problem import FloatArray, Problem, as_stiffness, check_reach
-from napari_hmrf.solver.real_arrays import first_index, how_many
+from napari_hmrf.solver.real_arrays import as_labels, first_index, how_many
 from napari_hmrf.solver.sliding_parts import SlidingParts
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, solve
@@ -238,7 +238,7 @@ class Ground:
         points, near = points_in_tissue(marks, m > 0)
         marks, points = tuple(compress(marks, near)), points[near]
         if isinstance(prior, Elastic):
-            held = (canvas.confidence > 0) | canvas.slides[..., None]
+            held = (canvas.confidence > 0) | (canvas.slides != 0)[..., None]
             if marks:
                 held |= sites_of(points, m.shape)
             if self.study.motion.measured is not None:
@@ -369,14 +369,14 @@ class Ground:
         ]
 
     def unused(self, statement: Statement) -> tuple[str, ...]:
-        """Return clauses about rules and growth that have no effect.
+        """Return clauses about rules, growth and sliding that have no effect.
 
         The window does not display these clauses, because its tables apply to all slices.
         """
         labels = statement.labels
         if labels is None and self.study.tissue.labels is not None:
             labels = self.base.labels
-        return tuple(rows_without_effect(self.study, labels))
+        return tuple(rows_without_effect(self.study, labels, statement.problem.stiffness > 0))
 
     def notes_on(self, statement: Statement) -> tuple[str, ...]:
         """Return clauses for the user about the interpretation of a problem."""
@@ -599,7 +599,7 @@ def _tissue_of(study: Study) -> Ground:
             )
             for row in new
         ]
-        labels, rows = tissue.labels.astype(np.int32), (*known, *new)
+        labels, rows = as_labels(study.named("tissue", "image"), tissue.labels), (*known, *new)
         m = stiffness_image(tissue.labels, rows)
         if tissue.without_border and image is not None:
             air = dark_border(image, len(shape)) & (tissue.labels == 0)
@@ -667,7 +667,7 @@ def _observe(study: Study, base: Canvas) -> None:
         for rule in motion.rules:
             under = motion.labels == rule.label
             if rule.action == "slide":
-                base.slides[under], base.observed[under, 0] = True, rule.amount
+                base.slides[under], base.observed[under, 0] = rule.label, rule.amount
             elif rule.action == "remove":
                 base.removed[under] = True
     with study.naming(drawn=False):

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 
 from napari_hmrf.notes import Note
 from napari_hmrf.solver.problem import Problem
@@ -23,8 +24,12 @@ from napari_hmrf.tissue.sliding import is_inner
 _LISTED = 4
 #: Actions of strokes that have no effect outside tissue; other strokes can change earlier marks.
 _HOLD_OR_MOVE = ("pin", "move", "expand", "slide", "remove")
-#: Actions that use the vector and the amount of a rule.
-_USES = {"vector": ("move", "pull"), "amount": ("expand", "press", "slide")}
+#: For each attribute of a rule, its value without effect and the actions that use it.
+_USES = {
+    "vector": (0.0, ("move", "pull")),
+    "amount": (0.0, ("expand", "press", "slide")),
+    "confidence": (1.0, ("fixed", "move", "expand")),
+}
 
 
 def asks_motion(problem: Problem) -> bool:
@@ -145,14 +150,18 @@ def slides_inside(
     return is_inner(covered(mark, spacing, wide), tissue[wide], whole)
 
 
-def rows_without_effect(study: Study, labels: npt.NDArray[Any] | None) -> Iterator[str]:
-    """Yield clauses about rules, growth and cavities without pixels.
+def rows_without_effect(
+    study: Study, labels: npt.NDArray[Any] | None, tissue: npt.NDArray[np.bool_]
+) -> Iterator[str]:
+    """Yield clauses about rules, growth, sliding and cavities without effect.
 
     Parameters
     ----------
     study : Study
     labels : ndarray of int, optional
         Tissue labels of the problem, including brush strokes that paint tissue.
+    tissue : ndarray of bool, shape ([D,] H, W)
+        Mask of the tissue of the problem.
 
     Yields
     ------
@@ -165,9 +174,9 @@ def rows_without_effect(study: Study, labels: npt.NDArray[Any] | None) -> Iterat
         if motion.labels is not None:
             where = f"'{study.named('boundary')}' has no such label"
         yield f"{_rows('rule', rules)} no effect: {where}"
-    for name, actions in _USES.items():
+    for name, (usual, actions) in _USES.items():
         for rule in motion.rules:
-            if rule.action not in actions and np.any(getattr(rule, name)):
+            if rule.action not in actions and np.any(np.not_equal(getattr(rule, name), usual)):
                 noun = f"the {name} of label {rule.label}"
                 yield f"{noun} has no effect: its action is '{rule.action}'"
     growing = _absent([row for row in study.tissue.materials if row.grows], labels)
@@ -176,9 +185,14 @@ def rows_without_effect(study: Study, labels: npt.NDArray[Any] | None) -> Iterat
         if labels is not None:
             where = f"'{study.named('tissue', 'image')}' has no such label"
         yield f"{_rows('growth', growing)} no effect: {where}"
-    sliding = _absent([row for row in study.tissue.materials if row.slides], labels)
-    if sliding:
-        yield f"{_rows('sliding', sliding)} no effect: no tissue has such a label"
+    if sliding := [row for row in study.tissue.materials if row.slides]:
+        here = None if labels is None else np.where(tissue, labels, 0)
+        absent = _absent(sliding, here)
+        if absent:
+            yield f"{_rows('sliding', absent)} no effect: no tissue has such a label"
+        alone = [row for row in sliding if row not in absent and _is_alone(row, here, tissue)]
+        if alone:
+            yield f"{_rows('sliding', alone)} no effect: no other tissue is next to it"
     if motion.cavity.acts and not study.removes:
         yield "the load on the cavity has no effect: no tissue is removed"
 
@@ -195,6 +209,15 @@ def _absent(
 ) -> list[BoundaryRule | Material]:
     present = set() if labels is None else set(np.unique(labels).tolist())
     return [row for row in rows if row.label not in present and row.label != 0]
+
+
+def _is_alone(
+    row: Material, labels: npt.NDArray[Any] | None, tissue: npt.NDArray[np.bool_]
+) -> bool:
+    """Return whether no other tissue touches the tissue of a label."""
+    own = tissue & (labels == row.label)
+    near = scipy.ndimage.binary_dilation(own, np.ones((3,) * own.ndim, bool))
+    return not (near & tissue & ~own).any()
 
 
 def _rows(noun: str, rows: Sequence[BoundaryRule | Material]) -> str:

@@ -9,7 +9,7 @@ grid, an oblique surface is a staircase, so the normals come from a fit to many 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -22,11 +22,12 @@ from napari_hmrf.notes import Note
 from napari_hmrf.solver.neighbours import sites_of_elements
 from napari_hmrf.solver.precision import MAX_PRECISION
 from napari_hmrf.solver.problem import as_stiffness, checked_spacing
-from napari_hmrf.solver.real_arrays import as_float32, as_mask
+from napari_hmrf.solver.real_arrays import as_float32, as_labels
 from napari_hmrf.tissue.normals import outer_rim, parts_of
 
 Float64Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
+Labels = npt.NDArray[np.int32]
 
 #: Precision along the normal, relative to the stiffness of the tissue at the site.
 STRENGTH = 1e3
@@ -85,7 +86,7 @@ def sliding_surface(
 ) -> SlidingSurface:
     """Return the sites and the normals of a painted surface.
 
-    For each connected part of the paint, these are its sites on the surface of the tissue, next to
+    For each connected part of a label, these are its sites on the surface of the tissue, next to
     void or at the edge of the image, and the normals of this surface. A part inside tissue has the
     normals of its own outline, even if an end of it reaches the surface.
 
@@ -96,8 +97,9 @@ def sliding_surface(
     ----------
     stiffness : array_like, shape ([D,] H, W)
         Stiffness of the problem; above 0 in tissue.
-    painted : array_like of bool, shape ([D,] H, W)
-        Mask of the painted sites; those outside tissue have no effect.
+    painted : array_like of bool or int, shape ([D,] H, W)
+        Mask or labels of the painted sites; 0 is unpainted, and paint outside tissue has no effect.
+        Each label has normals of its own, so that two labels may meet at a corner.
     spacing : float or sequence of float, shape (n,)
         Size of a pixel along each axis; a single number applies to all axes.
 
@@ -111,7 +113,7 @@ def sliding_surface(
         If an input is invalid; the message names the input and a remedy.
     """
     tissue = as_stiffness(stiffness) > 0
-    paint = as_mask("painted", painted)
+    paint = as_labels("painted", painted)
     if paint.shape != tissue.shape:
         raise ProblemError(
             "painted",
@@ -125,7 +127,8 @@ def sliding_surface(
     sites = np.zeros(tissue.shape, np.bool_)
     normals = np.zeros((*tissue.shape, tissue.ndim), np.float32)
     outer = np.zeros(tissue.shape, np.bool_)
-    for box, part in parts_of(paint & tissue):
+    paint = np.where(tissue, paint, 0)
+    for label, box, part in _parts_of_labels(paint):
         margin = [int(np.ceil(_REACH * _WIDTH[tissue.ndim] / along)) + 1 for along in size]
         wide = tuple(
             slice(max(side.start - more, 0), side.stop + more)
@@ -144,7 +147,7 @@ def sliding_surface(
         own, points, shape, mode = _surface_of(mine, tissue[wide], whole)
         at = np.argwhere(own)
         away = _first_normals(shape, own, size, mode)
-        other = np.argwhere(points & ~own)
+        other = np.argwhere(points & ~own & np.isin(paint[wide], (0, label)))
         weights = np.where(np.arange(len(at) + len(other)) < len(at), 1.0, _UNPAINTED)
         fitted = _fitted(at * size, np.concatenate([at, other]) * size, weights, away)
         fitted *= np.where((fitted * away).sum(axis=1) < 0, -1, 1)[:, None]
@@ -168,9 +171,10 @@ def sliding_precision(
     ----------
     stiffness : array_like, shape ([D,] H, W)
         Stiffness of the problem; above 0 in tissue, infinite in rigid tissue.
-    painted : array_like of bool, shape ([D,] H, W)
-        Mask of the painted sites. Tissue slides where the paint covers its surface, next to void or
-        at the edge of the image; paint inside tissue slides along its own outline.
+    painted : array_like of bool or int, shape ([D,] H, W)
+        Mask or labels of the painted sites. Tissue slides where the paint covers its surface, next
+        to void or at the edge of the image; paint inside tissue slides along its own outline. At a
+        sharp corner, give each side a label of its own.
     spacing : float or sequence of float, shape (n,)
         Size of a pixel along each axis; a single number applies to all axes.
     strength : float
@@ -216,16 +220,16 @@ def _tensors(
 
 
 class _Data(NamedTuple):
-    """Sliding surface of some paint and its tensors."""
+    """Sliding surfaces of some paint and their tensors."""
 
-    slides: Mask
+    slides: Labels
     stiffness: npt.NDArray[np.float32]
     spacing: tuple[float, ...]
     surface: SlidingSurface
     tensors: Float64Array
 
     def is_valid_for(
-        self, slides: Mask, stiffness: npt.NDArray[np.float32], spacing: tuple[float, ...]
+        self, slides: Labels, stiffness: npt.NDArray[np.float32], spacing: tuple[float, ...]
     ) -> bool:
         """Return whether the surface belongs to the given paint and stiffness."""
         same = self.spacing == spacing and np.array_equal(self.slides, slides)
@@ -238,7 +242,7 @@ _last_data: list[_Data] = []
 
 def sliding_data(
     observed: npt.NDArray[np.float32],
-    slides: Mask,
+    slides: Labels,
     stiffness: npt.NDArray[np.float32],
     spacing: tuple[float, ...],
 ) -> tuple[npt.NDArray[np.float32], Float64Array | None]:
@@ -249,8 +253,8 @@ def sliding_data(
     observed : ndarray, shape ([D,] H, W, n)
         Observed displacement; where tissue slides, its first component is the displacement along
         the outward normal.
-    slides : ndarray of bool, shape ([D,] H, W)
-        Paint along which tissue slides.
+    slides : ndarray of int, shape ([D,] H, W)
+        Labels of the surfaces along which tissue slides; 0 elsewhere.
     stiffness : ndarray, shape ([D,] H, W)
     spacing : tuple of float
 
@@ -275,13 +279,13 @@ def sliding_data(
             "shifts a surface that slides inside tissue along its normal, but such a surface has "
             "no outside. Use a distance of 0 there, or paint the surface of the tissue.",
         )
-    y = np.where(slides[..., None], np.float32(0), observed)
+    y = np.where((slides != 0)[..., None], np.float32(0), observed)
     y[surface.sites] = amounts[:, None] * surface.normals
     return y, tensors if tensors.any() else None
 
 
 def inner_surface(
-    slides: Mask, stiffness: npt.NDArray[np.float32], spacing: tuple[float, ...]
+    slides: Labels, stiffness: npt.NDArray[np.float32], spacing: tuple[float, ...]
 ) -> str:
     """Return a clause if some sliding surface is inside tissue, or "".
 
@@ -312,8 +316,10 @@ def is_inner(paint: Mask, tissue: Mask, whole: list[tuple[bool, bool]]) -> bool:
     return bool(part.any()) and _surface_of(part, tissue, whole)[2] is part
 
 
-def _data_of(slides: Mask, stiffness: npt.NDArray[np.float32], spacing: tuple[float, ...]) -> _Data:
-    """Return the surface of some paint and its tensors, from the cache if possible."""
+def _data_of(
+    slides: Labels, stiffness: npt.NDArray[np.float32], spacing: tuple[float, ...]
+) -> _Data:
+    """Return the surfaces of some paint and its tensors, from the cache if possible."""
     last = next(
         (each for each in _last_data if each.is_valid_for(slides, stiffness, spacing)), None
     )
@@ -323,6 +329,13 @@ def _data_of(slides: Mask, stiffness: npt.NDArray[np.float32], spacing: tuple[fl
         last = _Data(slides.copy(), stiffness.copy(), spacing, surface, tensors)
         _last_data[:] = [last]
     return last
+
+
+def _parts_of_labels(labels: Labels) -> Iterator[tuple[np.int32, tuple[slice, ...], Mask]]:
+    """Yield the label and the bounding box of each connected part, and the part within the box."""
+    for label in np.unique(labels[labels != 0]):
+        for box, part in parts_of(labels == label):
+            yield label, box, part
 
 
 def _surface_of(

@@ -201,6 +201,10 @@ def test_parts_that_cannot_slide_are_refused_with_the_reason():
         problem(sliding=SlidingParts(labels[:10]))
     with pytest.raises(ProblemError, match="label 1, so that nothing slides"):
         problem(sliding=SlidingParts(np.ones((20, 20), int)))
+    with pytest.raises(ProblemError, match="32 bits"):
+        SlidingParts(labels.astype(np.int64) << 40)
+    with pytest.raises(ProblemError, match="rows of different lengths"):
+        SlidingParts([[1, 2], [3]])
     with pytest.raises(ProblemError, match="rigid"):
         problem(m=np.where(labels, 1.0, np.inf))
     with pytest.raises(ProblemError, match=r"Pass SlidingParts\(labels\)"):

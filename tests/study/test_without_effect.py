@@ -98,6 +98,21 @@ def test_rules_and_growth_of_missing_labels_are_named():
         solve_study(a_study(materials=materials))
 
 
+def test_sliding_of_a_label_that_touches_no_other_tissue_is_named():
+    lung, liver = Material(1, "lung", 1.0, slides=True), Material(9, "liver", 1.0, slides=True)
+    said = notes(a_study(PULL, materials=(Material(0, "air", 0.0), lung, liver)))
+    assert "the sliding of label 1 ('lung') has no effect: no other tissue is next to it" in said
+    assert "the sliding of label 9 ('liver') has no effect: no tissue has such a label" in said
+
+
+def test_the_confidence_of_a_rule_that_has_none_is_named():
+    rules = BoundaryRule(1, "slide", confidence=(0.5, 0.5)), BoundaryRule(2, "fixed")
+    labels = np.zeros(SHAPE, int)
+    labels[0], labels[-1] = 1, 2
+    said = notes(a_study(PULL, labels=labels, rules=rules))
+    assert "the confidence of label 1 has no effect: its action is 'slide'" in said
+
+
 def test_a_fixed_edge_or_rules_of_missing_labels_alone_are_rejected():
     with pytest.raises(ProblemError, match=r"motion: nothing moves\. Prescribe a displ"):
         solve_study(a_study())

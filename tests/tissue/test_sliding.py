@@ -5,7 +5,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from napari_hmrf import ElasticPrior, Problem, ProblemError, solve
+from napari_hmrf import (
+    BoundaryRule,
+    ElasticPrior,
+    Grid,
+    Motion,
+    Problem,
+    ProblemError,
+    Study,
+    Tissue,
+    solve,
+    solve_study,
+)
 from napari_hmrf.tissue.sliding import sliding_precision, sliding_surface
 
 
@@ -72,6 +83,21 @@ def test_thick_paint_around_a_corner_does_not_lock_the_side_along_which_a_block_
     painted[23:] = True
     _, motion = slipped(y, c, m, painted)
     assert motion[:, 1].min() > 0.9 * 3
+
+
+@pytest.mark.parametrize("margin", [0, 4])
+def test_a_block_is_stretched_along_three_walls_with_labels_of_their_own(margin):
+    m = np.zeros((32, 40))
+    block = (slice(margin, 32 - margin), slice(margin, 40 - margin))
+    m[block] = 1
+    walls = np.zeros(m.shape, int)
+    walls[block][:, 0], walls[block][-1], walls[block][0] = 3, 1, 2
+    rules = (BoundaryRule(1, "slide", amount=1.0), BoundaryRule(2, "slide"), BoundaryRule(3, "slide"))
+    study = Study(Grid(m.shape, 1.0), Tissue(stiffness=m), Motion(labels=walls, rules=rules))
+    rows, cols = np.indices(m[block].shape)
+    strain = 1 / (len(rows) - 1)
+    uniform = strain * np.stack([rows, -0.45 * cols], axis=-1)
+    assert np.abs(solve_study(study).displacement[block] - uniform).max() < 0.005
 
 
 def test_the_unit_of_stiffness_has_no_effect_on_a_slip():

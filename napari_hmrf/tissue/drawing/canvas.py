@@ -43,6 +43,9 @@ KINDS: dict[Action, int] = {
     "remove": 7,
 }
 
+#: Label of the surfaces that strokes paint; labels of boundary rules are above 0.
+STROKES_SLIDE = -1
+
 
 @dataclass(frozen=True, eq=False)
 class Canvas:
@@ -65,8 +68,9 @@ class Canvas:
         Painted confidence does not change this value.
     spacing : tuple of float, shape (n,)
         Size of a pixel along each axis.
-    slides : ndarray of bool, shape ([D,] H, W)
-        Mask of the paint along which tissue slides. The sites and their normals are known only with
+    slides : ndarray of int, shape ([D,] H, W)
+        Labels of the paint along which tissue slides: the label of a boundary rule, or
+        `STROKES_SLIDE` under strokes; 0 elsewhere. The sites and their normals are known only with
         the stiffness; see `sliding_surface`.
     surroundings : ndarray of bool, shape ([D,] H, W), optional
         Mask of void and dark surroundings; growing patches do not extend into them.
@@ -79,7 +83,7 @@ class Canvas:
     labels: npt.NDArray[Any]
     kinds: npt.NDArray[np.uint8]
     spacing: tuple[float, ...]
-    slides: npt.NDArray[np.bool_]
+    slides: npt.NDArray[np.int32]
     removed: npt.NDArray[np.bool_]
     surroundings: npt.NDArray[np.bool_] | None = None
 
@@ -95,7 +99,7 @@ class Canvas:
         y, kinds = np.zeros((*shape, n), dtype=np.float32), np.zeros(shape, dtype=np.uint8)
         tissue = kinds.copy() if labels is None else labels
         sizes = (1.0,) * n if spacing is None else tuple(map(float, spacing))
-        slides, removed = np.zeros((2, *shape), dtype=bool)
+        slides, removed = np.zeros(shape, dtype=np.int32), np.zeros(shape, dtype=bool)
         return cls(y, y.copy(), tissue, kinds, sizes, slides, removed)
 
     @property
@@ -194,7 +198,7 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
     elif mark.action == "slide":
         y[where], c[where] = 0, 0
         canvas.observed[box][where, 0] = mark.amount
-        canvas.slides[box][where] = True
+        canvas.slides[box][where] = STROKES_SLIDE
     elif mark.action == "confidence":
         soft = mark.softness * reach
         share = np.clip((reach - distance) / soft, 0, 1) if soft > 0 else np.ones_like(distance)
@@ -222,8 +226,8 @@ def _steps(mark: Arrow | Stroke, box: Box, where: npt.NDArray[np.bool_]) -> Floa
 def _stop_sliding(canvas: Canvas, box: Box, where: npt.NDArray[np.bool_]) -> None:
     """Remove the sliding surface under a mark that determines the motion of tissue."""
     slides = canvas.slides[box]
-    canvas.observed[box][where & slides] = 0
-    slides[where] = False
+    canvas.observed[box][where & (slides != 0)] = 0
+    slides[where] = 0
 
 
 def rim_of(
