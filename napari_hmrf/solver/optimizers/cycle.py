@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from napari_hmrf.solver.backends.linear import Hierarchy, Steps
+from napari_hmrf.solver.backends.linear import Balance, Hierarchy, Steps
 from napari_hmrf.solver.priors.elements import ElasticMaterial, lame_ratio
 
 
@@ -127,6 +127,18 @@ class Cycle:
         self.levels[0].load = load
         self._visit(0)
         return self.levels[0].correction
+
+    def largest_correction(self, balance: Balance) -> float:
+        """Return the largest component of the correction for a residual, in the model's units."""
+        if balance.most == 0:
+            return 0.0
+        level = self.levels[0]
+        rest = level.vector(balance.rest)
+        correction = self.run(rest)
+        level.project(correction)
+        most, _ = level.read(*level.weigh(correction, rest))
+        level.free(rest)
+        return most * balance.unit
 
     def _visit(self, number: int) -> None:
         """Compute the correction of a level for its load, using all coarser levels."""

@@ -81,6 +81,14 @@ _CYCLE_LIMIT = 40
 _SMALL_GRID = 20_000
 #: Number of cycles after which a larger system is factorized.
 _LARGE_CYCLE_LIMIT = 200
+#: Number of cycles after which the smallest eigenvalue of a run is reliable.
+_RELIABLE_STEPS = 6
+#: Smallest eigenvalue that is assumed in the first step.
+_USUAL_LEAST = 0.3
+#: Growth of the assumed smallest eigenvalue after a run that is not reliable.
+_FORGOTTEN = 2.0
+#: Rough error, relative to the tolerance, at which it is worth a cycle to measure the error.
+_ROUGHLY = 2.0
 #: Smallest nonzero fraction of the buckling terms that is left out.
 _FIRST_SHARE = 0.05
 #: Number of steps without the buckling terms after a step in which they made the model indefinite.
@@ -186,11 +194,15 @@ class Obstructed(Exception):
 
 
 class _Linear(NamedTuple):
-    """Solution of a tangent system: displacement, error per residual, and largest motion."""
+    """Solution of a tangent system."""
 
+    #: Displacement, rough error per residual, and largest component of the displacement.
     way: Planes
     reach: float
     far: float
+    #: Cycle that preconditions the system, and the smallest eigenvalue of the product of both.
+    cycle: Cycle | None = None
+    least: float = 1.0
     #: Fraction of the buckling terms that was left out.
     positive: float = 0.0
     #: Factorization that was used, or None if the system was solved by cycles.
@@ -246,6 +258,8 @@ class Newton:
         self._pulled = 0
         # False once a prescribed position is known to be out of reach.
         self._is_converged = True
+        # Smallest eigenvalue of the preconditioned tangent matrix that the next run should expect.
+        self._least = _USUAL_LEAST
         # First fraction of the buckling terms to leave out in the next step, and whether cycles
         # found a direction in which the tissue buckles.
         self._positive = 0.0
@@ -400,6 +414,11 @@ class Newton:
             far = float(np.abs(left).max())
             if math.isfinite(far):
                 estimate = far
+        elif step.cycle is not None and estimate <= _ROUGHLY * self._tolerance:
+            # The residual of a long step is smoother than that of the linear solve, and then means
+            # a larger distance. A cycle corrects the slowest motion by its eigenvalue.
+            self._count_cycle()
+            estimate = step.cycle.largest_correction(self._model.balance(rest)) / step.least
         if not math.isfinite(estimate):
             return False
         self.distance = Distance(estimate, residual)
@@ -514,14 +533,15 @@ class Newton:
             latest, count = step, count + 1
             error = step.error * balance.unit
             first = first or error
-            self.cycles += 1
-            self._work.add_cycle()
+            self._count_cycle()
             self._report(Monitor(f"cycle {self.cycles}, error {error:.2g} px", 0.0))
             done = error <= max(_INNER_REDUCTION * first, _INNER_TOLERANCE * self._tolerance)
             return done or count >= patience or self._work.is_done
 
+        cycle = Cycle(self._model, self._smoothing)
+        iteration = ConjugateGradients(cycle)
+        iteration.expect(self._least)
         try:
-            iteration = ConjugateGradients(Cycle(self._model, self._smoothing))
             iteration.run(balance, way, enough)
         except FloatingPointError:
             self._model.clear()
@@ -535,7 +555,15 @@ class Newton:
         self._buckles = not done and count < patience
         if latest is None or not done:
             return None
-        return _Linear(way, latest.reach, float(np.abs(way).max()))
+        found = iteration.run_least
+        least = found if count >= _RELIABLE_STEPS else min(found, self._least)
+        # A slow motion that a short run does not find again may have ended.
+        self._least = least if count >= _RELIABLE_STEPS else min(found, _FORGOTTEN * self._least)
+        return _Linear(way, latest.reach, float(np.abs(way).max()), cycle, least)
+
+    def _count_cycle(self) -> None:
+        self.cycles += 1
+        self._work.add_cycle()
 
     def _solve(self, load: Planes) -> _Linear | None:
         """Solve by factorization; return None if the tangent matrix is not positive definite."""

@@ -47,6 +47,34 @@ def random_loads(random: np.random.Generator, shape: tuple[int, int]) -> Loads:
     return Loads(growth=strain + strain.swapaxes(-1, -2), force=random.normal(size=(*shape, 2)))
 
 
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-3])
+@pytest.mark.parametrize("degrees", [90, 120])
+def test_a_disc_that_its_core_turns_is_as_near_to_a_rotation_as_reported(degrees, tolerance):
+    place = np.moveaxis(np.indices((33, 33)), 0, -1) - 16.0
+    away, turn = np.linalg.norm(place, axis=-1), np.radians(degrees)
+    turned_back = np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    exact, core = place @ turned_back - place, (away < 4)[..., None]
+    disc = Problem(
+        observed=np.where(core, exact, 0),
+        confidence=core * np.ones(2),
+        stiffness=(away < 14).astype(float),
+    )
+    solution = solve(disc, NeoHookeanPrior(), optimizer=Multigrid(tolerance), backend="cpu")
+    error = np.abs(solution.displacement - exact)[away < 14].max()
+    assert error <= 1.05 * max(tolerance, solution.convergence.error)
+
+
+def test_a_compressed_bar_that_hardly_resists_bending_is_as_near_to_equilibrium_as_reported():
+    c, y = np.zeros((10, 13, 2)), np.zeros((10, 13, 2))
+    c[:, [0, -1], 1], c[0, :, 0], y[:, -1, 1] = 1, 1, -6
+    compressed = Problem(observed=y, confidence=c, stiffness=np.ones((10, 13)))
+    rough, exact = (
+        solve(compressed, NeoHookeanPrior(0.45), optimizer=Multigrid(within), backend="cpu")
+        for within in (1e-3, 1e-6)
+    )
+    assert np.abs(rough.displacement - exact.displacement).max() <= rough.convergence.error
+
+
 @pytest.mark.parametrize("grows", [False, True])
 @pytest.mark.parametrize("plane", ["stress", "strain"])
 def test_forces_and_tangents_are_derivatives_of_the_energy(plane, grows) -> None:
