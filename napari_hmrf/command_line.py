@@ -567,9 +567,9 @@ def _add_tissue(command: argparse.ArgumentParser) -> None:
         "--materials",
         type=Path,
         metavar="TABLE",
-        help="table with the columns label,name,stiffness,poisson,growth, in which a growth of 0.2 "
-        "or 20%% increases lengths by a fifth; or a table of the label names of a segmentation, as "
-        "for the command materials",
+        help="table with the columns label,name,stiffness,poisson,growth,slides, in which a growth "
+        "of 0.2 or 20%% increases lengths by a fifth, and yes lets a tissue slide along all other "
+        "tissue; or a table of the label names of a segmentation, as for the command materials",
     )
 
 

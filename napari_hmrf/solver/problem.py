@@ -470,7 +470,8 @@ def check_reach(y: FloatArray, spacing: tuple[float, ...]) -> None:
         raise ProblemError(
             "observed",
             f"moves tissue by up to {_shown(float(length.max()))} (first at {first_index(far)}), "
-            f"but the image is only {size}. Use the unit of length in which a pixel is {pixel}.",
+            f"but the image is only {size}. Use the unit of length in which a pixel is {pixel}. "
+            f"The largest distance is {MAX_REACH:g} times the diagonal of the image.",
         )
 
 

@@ -381,7 +381,8 @@ def _solution_of(
     if not (finite and np.isfinite(outcome.energy).all()):
         raise BackendError(
             f"{renderer} returned NaN or infinite values, so the result was discarded. Check the "
-            'size of the observed displacement; if it is reasonable, try backend="cpu".'
+            "size of the observed displacement; if it is reasonable, use the compiled loops "
+            '(`backend="cpu"`).'
         )
     # The solution keeps this array itself, because warm starts recognize it.
     displacement.setflags(write=False)

@@ -92,7 +92,9 @@ class Material:
         if not real(stiffness) >= 0:
             raise _wrong_stiffness(self)
         refuse_unless(is_whole(self.label), "label", self.label, "a whole number, such as 1")
-        refuse_unless(isinstance(self.slides, bool), "slides", self.slides, "True or False")
+        is_flag = isinstance(self.slides, bool | np.bool_)
+        refuse_unless(is_flag, "slides", self.slides, "True or False")
+        object.__setattr__(self, "slides", bool(self.slides))
         if not all(math.isfinite(real(part)) for part in np.atleast_1d(self.growth).tolist()):
             raise ProblemError(
                 "growth",

@@ -138,7 +138,7 @@ def sliding_surface(
             slice(side.start - of.start, side.stop - of.start)
             for side, of in zip(box, wide, strict=True)
         )
-        mine = np.zeros_like(tissue[wide])
+        near, mine = paint[wide], np.zeros_like(tissue[wide])
         mine[inside] = part
         whole = [
             (of.start == 0, of.stop >= length)
@@ -147,7 +147,7 @@ def sliding_surface(
         own, points, shape, mode = _surface_of(mine, tissue[wide], whole)
         at = np.argwhere(own)
         away = _first_normals(shape, own, size, mode)
-        other = np.argwhere(points & ~own & np.isin(paint[wide], (0, label)))
+        other = np.argwhere(points & ~own & ((near == 0) | (near == label)))
         weights = np.where(np.arange(len(at) + len(other)) < len(at), 1.0, _UNPAINTED)
         fitted = _fitted(at * size, np.concatenate([at, other]) * size, weights, away)
         fitted *= np.where((fitted * away).sum(axis=1) < 0, -1, 1)[:, None]

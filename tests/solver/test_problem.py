@@ -217,7 +217,7 @@ def test_arrays_of_other_than_real_numbers_are_rejected(kind):
 
 def test_rows_of_different_length_are_rejected():
     y, c, _ = valid_arrays()
-    with pytest.raises(ProblemError, match="not an array of numbers"):
+    with pytest.raises(ProblemError, match="rows of different lengths"):
         Problem(observed=y, confidence=c, stiffness=[[1, 2], [3]])
 
 

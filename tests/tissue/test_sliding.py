@@ -92,7 +92,11 @@ def test_a_block_is_stretched_along_three_walls_with_labels_of_their_own(margin)
     m[block] = 1
     walls = np.zeros(m.shape, int)
     walls[block][:, 0], walls[block][-1], walls[block][0] = 3, 1, 2
-    rules = (BoundaryRule(1, "slide", amount=1.0), BoundaryRule(2, "slide"), BoundaryRule(3, "slide"))
+    rules = (
+        BoundaryRule(1, "slide", amount=1.0),
+        BoundaryRule(2, "slide"),
+        BoundaryRule(3, "slide"),
+    )
     study = Study(Grid(m.shape, 1.0), Tissue(stiffness=m), Motion(labels=walls, rules=rules))
     rows, cols = np.indices(m[block].shape)
     strain = 1 / (len(rows) - 1)

@@ -122,7 +122,7 @@ def open_backend(
     missing = missing_shaders(job)
     if name != "auto":
         if missing is not None:
-            raise BackendError(f'{missing}, not {name}. Use backend="cpu" or "auto".')
+            raise BackendError(f'{missing}, not {name}. Use them (`backend="cpu"`).')
         return Choice(_requested_shaders(job, name, checkpoint), "requested")
     if missing is not None:
         provide_loops()

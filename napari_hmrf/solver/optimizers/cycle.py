@@ -138,7 +138,7 @@ class Cycle:
         level.project(correction)
         most, _ = level.read(*level.weigh(correction, rest))
         level.free(rest)
-        return most * balance.unit
+        return float(most) * balance.unit
 
     def _visit(self, number: int) -> None:
         """Compute the correction of a level for its load, using all coarser levels."""

@@ -72,7 +72,7 @@ _SLOW_PULL = 0.25
 #: Error at which a linear solve ends, relative to the initial error.
 _INNER_REDUCTION = 0.03
 #: Error at which a linear solve ends, relative to the tolerance; the larger error applies.
-_INNER_TOLERANCE = 0.3
+_INNER_TOLERANCE = 0.4
 #: Residual, relative to the load, that cannot be reduced in single precision.
 _SINGLE_RESIDUAL = 2e-5
 #: Number of cycles after which a small system is factorized.

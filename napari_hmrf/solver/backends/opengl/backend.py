@@ -102,7 +102,7 @@ class OpenGLBackend:
         """Return the reason why the shaders cannot solve a job, or None if they can solve it."""
         missing = missing_shaders(job)
         if missing is not None:
-            return f'{missing}. Use backend="cpu" or "auto".'
+            return f'{missing}. Use them (`backend="cpu"`).'
         if job.is_volume:
             return volume_refusal(self._device, self._stage, job.shape)
         return image_refusal(self._device, job.shape)
@@ -215,7 +215,9 @@ class OpenGLBackend:
 
     def finite_model(self, material: FiniteMaterial) -> FiniteModel:
         """Raise `BackendError`, because there are no shaders for large motion."""
-        raise BackendError('only the compiled loops solve large motion. Use backend="cpu".')
+        raise BackendError(
+            'only the compiled loops solve large motion. Use them (`backend="cpu"`).'
+        )
 
     def release(self, *fields: GLField) -> None:
         """Return the textures of fields to the pool for reuse."""

@@ -42,7 +42,7 @@ def image_refusal(device: Device, shape: tuple[int, ...]) -> str | None:
     return (
         f"the image has {height} x {width} pixels, but {device.renderer} supports at most "
         f"{device.largest} x {device.largest}; a solve would take about {size:.1f} GiB there. "
-        'Downsample or crop the image, or use backend="cpu".'
+        'Downsample or crop the image, or use the compiled loops (`backend="cpu"`).'
     )
 
 
@@ -52,17 +52,17 @@ def volume_refusal(device: Device, stage: str, shape: tuple[int, ...]) -> str | 
     if "compute" not in device.stages:
         return (
             f"volumes require compute shaders (OpenGL 4.3), but the device is {renderer}. Use "
-            'backend="cpu".'
+            'the compiled loops (`backend="cpu"`).'
         )
     if stage != "compute":
         return (
-            'fragment shaders solve images only. Use backend="opengl:compute" or backend="cpu" '
-            "for a volume."
+            "fragment shaders solve images only. For a volume, use compute shaders "
+            '(`backend="opengl:compute"`) or the compiled loops (`backend="cpu"`).'
         )
     if device.most_buffers < MOST_BUFFERS:
         return (
             f"{renderer} supports {device.most_buffers} storage buffers in a compute shader, but "
-            f'volumes need {MOST_BUFFERS}. Use backend="cpu".'
+            f'volumes need {MOST_BUFFERS}. Use the compiled loops (`backend="cpu"`).'
         )
     values = math.prod(size + 4 for size in shape)
     if 8 * values <= most:
@@ -72,5 +72,6 @@ def volume_refusal(device: Device, stage: str, shape: tuple[int, ...]) -> str | 
     return (
         f"the volume has {size} voxels, so a component takes {8 * values / 2**20:.0f} MiB, but "
         f"{renderer} has buffers of at most {most / 2**20:.0f} MiB (a solve would take "
-        f'{whole:.1f} GiB in total). Downsample or crop the volume, or use backend="cpu".'
+        f"{whole:.1f} GiB in total). Downsample or crop the volume, or use the compiled loops "
+        '(`backend="cpu"`).'
     )

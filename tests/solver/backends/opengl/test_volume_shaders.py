@@ -360,12 +360,12 @@ def test_a_volume_beyond_the_limit_is_rejected_before_any_allocation(made, monke
 
 def test_a_driver_with_too_few_buffers_is_rejected(monkeypatch):
     monkeypatch.setattr(on_compute_thread(the_device), "most_buffers", 8)
-    with pytest.raises(BackendError, match=r'8 storage buffers .* need 16. Use backend="cpu"'):
+    with pytest.raises(BackendError, match=r"8 storage buffers .* need 16"):
         solve(pressed(12, True), backend="opengl")
 
 
 def test_fragment_shaders_reject_volumes():
-    with pytest.raises(BackendError, match='Use backend="opengl:compute" or backend="cpu"'):
+    with pytest.raises(BackendError, match="fragment shaders solve images only"):
         solve(pressed(12, True), backend="opengl:fragment")
 
 
@@ -389,7 +389,7 @@ def test_shaders_name_the_problems_that_only_the_loops_solve(kind):
         return said, open_backend(job, "auto", lambda: None).reason
 
     (refusal, none), reason = on_compute_thread(answers)
-    assert refusal == f'only the compiled loops solve {kind}. Use backend="cpu" or "auto".'
+    assert refusal == f'only the compiled loops solve {kind}. Use them (`backend="cpu"`).'
     assert none is None
     assert reason == f"only the compiled loops solve {kind}"
     with pytest.raises(BackendError, match=f"solve {kind}, not opengl. Use"):

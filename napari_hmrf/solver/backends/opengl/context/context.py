@@ -94,7 +94,8 @@ def open_context() -> Opened:
                 refused.append((software.name, str(error)))
     except ImportError as error:
         raise BackendError(
-            f'moderngl cannot be imported ({error}). Install it again, or use backend="cpu".'
+            f"moderngl cannot be imported ({error}). Install it again, or use the compiled loops "
+            '(`backend="cpu"`).'
         ) from error
     raise BackendError(_no_context(refused))
 

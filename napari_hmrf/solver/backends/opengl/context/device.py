@@ -165,7 +165,8 @@ class Device:
         if not 0 < max(shape) <= self.largest or min(shape) < 1:
             raise BackendError(
                 f"{self.renderer} supports images of up to {self.largest} x {self.largest}, not "
-                f'{description}. Downsample or crop the image, or use backend="cpu".'
+                f"{description}. Downsample or crop the image, or use the compiled loops "
+                '(`backend="cpu"`).'
             )
         self.check("computing")
         try:
@@ -238,7 +239,8 @@ class Device:
         self.release()
         raise BackendError(
             f"{self.renderer} failed while {doing}. The result was discarded; the next solve "
-            'starts a new context. If it happens again, update the driver or use backend="cpu".'
+            "starts a new context. If it happens again, update the driver or use the compiled "
+            'loops (`backend="cpu"`).'
         )
 
     def release(self) -> None:
@@ -259,7 +261,8 @@ class Device:
         if stage not in self.stages:
             raise BackendError(
                 f"compute shaders require OpenGL 4.3, but the device is {self.renderer}. Use "
-                'backend="opengl:fragment" or backend="cpu".'
+                'fragment shaders (`backend="opengl:fragment"`) or the compiled loops '
+                '(`backend="cpu"`).'
             )
         if stage not in self._checked:
             self.canary(stage)
@@ -348,7 +351,7 @@ def the_device() -> Device:
         raise BackendError(
             "this process was forked from a process that uses OpenGL, and a context cannot be used "
             'after a fork. Start the process with multiprocessing.get_context("spawn"), or use '
-            'backend="cpu".'
+            'the compiled loops (`backend="cpu"`).'
         )
     if _device is None or _device.lost:
         _device = Device()
