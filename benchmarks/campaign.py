@@ -35,6 +35,7 @@ from napari_hmrf.solver.backends.cpu import layout
 from napari_hmrf.solver.backends.direct.factors import Factors
 from napari_hmrf.solver.live_solver import TOLERANCE, Update
 from napari_hmrf.solver.neighbours import sites_of_elements
+from validation.bodies import between_plates, dice_of
 from validation.oracles.elasticity import direct_solution
 from validation.oracles.exact import Exact, exact_field
 from validation.oracles.exact.equations import free_motions
@@ -46,8 +47,6 @@ from validation.problems import (
     LargeMotion,
     RandomProblem,
     State,
-    between_plates,
-    dice_of,
     edits_of,
     mild_tissue,
     random_data,

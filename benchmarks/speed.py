@@ -59,7 +59,7 @@ from napari_hmrf import (
     solve,
 )
 from napari_hmrf.data import head_phantom, phantom
-from validation.problems import bar, framed_volume, growing_ball, turned
+from validation.bodies import bar, dragged_ball, framed, growing_ball, turned
 
 Array = npt.NDArray[Any]
 #: Name of the phantom of most cases in images.
@@ -493,7 +493,7 @@ def large_volume(size: int) -> dict[str, Work]:
     problems = {
         "ball grown to twice its radius": growing_ball(size, 2.0),
         "bar bent by 90 degrees": _bent_bar(size),
-        "patch dragged by a third": _dragged_ball(size, size / 3),
+        "patch dragged by a third": dragged_ball(size, size / 3, size / 6),
     }
     return {title: _large(problem, _steps_and_rest) for title, problem in problems.items()}
 
@@ -501,7 +501,7 @@ def large_volume(size: int) -> dict[str, Work]:
 @case("large-volume-drag", 32, baseline="linear solves", is_long=True)
 def large_volume_drag(size: int) -> dict[str, Work]:
     """One frame of a drag by half a voxel a frame in large motion."""
-    return {"ball": _frames(partial(_dragged_ball, size), 0.5, _LIVE_VOXELS)}
+    return {"ball": _frames(partial(dragged_ball, size, off=size / 6), 0.5, _LIVE_VOXELS)}
 
 
 def _frames(at: Callable[[float], Problem], step: float, optimizer: Multigrid) -> Work:
@@ -569,10 +569,7 @@ def _patch(size: int, radius: float, far: float, begun: float | None = None) -> 
     """Return a block with a fixed border, in which a patch is dragged along the last axis."""
     row, col = np.indices((size, size)) - size // 2
     inside = row**2 + (col + (far if begun is None else begun) / 2) ** 2 <= radius**2
-    c, y = np.zeros((2, size, size, 2))
-    c[0] = c[-1] = c[:, 0] = c[:, -1] = 1
-    c[inside], y[inside] = 1, (0, far)
-    return Problem(observed=y, confidence=c, stiffness=np.ones((size, size)))
+    return framed(inside, (0, far))
 
 
 def _rim(size: int, far: float) -> Problem:
@@ -610,20 +607,10 @@ def _free_edge(size: int) -> Problem:
 def _pressed(size: int) -> Problem:
     """Return a block with two patches that press the tissue between them to 2 % of its length."""
     row, col = np.indices((size, size))
-    c, y = np.zeros((2, size, size, 2))
-    c[0] = c[-1] = c[:, 0] = c[:, -1] = 1
-    level = np.abs(row - size // 2) < size // 5
+    y, level = np.zeros((size, size, 2)), np.abs(row - size // 2) < size // 5
     for way, middle in ((1, size // 4), (-1, 3 * size // 4)):
-        patch = level & (np.abs(col - middle) < size // 10)
-        c[patch], y[patch] = 1, (0, way * 0.49 * (size / 2 - size / 5))
-    return Problem(observed=y, confidence=c, stiffness=np.ones((size, size)))
-
-
-def _dragged_ball(size: int, far: float) -> Problem:
-    """Return a cube with a fixed border and a ball that is dragged along the last axis."""
-    around = np.indices((size,) * 3) - (size - 1) / 2
-    around[2] += size / 6
-    return framed_volume(size, np.linalg.norm(around, axis=0) <= size / 8, (0.0, 0.0, far))
+        y[level & (np.abs(col - middle) < size // 10), 1] = way * 0.49 * (size / 2 - size / 5)
+    return framed(y[..., 1] != 0, y)
 
 
 def _bent_bar(size: int) -> Problem:

@@ -1,4 +1,4 @@
-"""Problems that tests, benchmarks and studies share: some with a known shape, and random ones.
+"""Random problems that tests, benchmarks and studies share.
 
 A function of random problems draws from a generator of NumPy, so a problem depends only on its
 seed; `dice_of` returns the generator of a problem of a campaign. A function that takes a number
@@ -24,17 +24,12 @@ from napari_hmrf.loads import Loads, cavity, growth, weight
 from napari_hmrf.solver.neighbours import around_sites, in_elements, sites_of_elements
 from napari_hmrf.solver.unconnected import scraps
 from napari_hmrf.tissue import SlidingParts
+from validation.bodies import Array, Dice, Flags, Shape, dice_of, offsets, turned
 from validation.oracles.large_motion import displaced_corners, smallest_jacobians
 
-Array = npt.NDArray[np.float64]
-Flags = npt.NDArray[np.bool_]
 Labels = npt.NDArray[np.int32]
-Shape = tuple[int, ...]
-Dice = np.random.Generator
 Prior = ElasticPrior | SeilerPrior
 
-#: Sides of oblong voxels.
-OBLONG = (1.0, 1.7, 0.6)
 #: Largest side of an image and of a volume, and range of sides with cavities or parts, in sites.
 LARGEST, SIDES_OF_PARTS = {2: 64, 3: 13}, {2: (4, 17), 3: (3, 7)}
 #: Number of decades of the largest contrast of stiffness, and of that with cavities or parts.
@@ -84,121 +79,6 @@ _EDITS = {
     "growth": 0.06,
     "undo": 0.11,
 }
-
-
-def bar(height: int, width: int, end: npt.ArrayLike, m: npt.ArrayLike = 1.0) -> Problem:
-    """Return a bar with a fixed left end and a right end displaced by (2,) or (height, 2)."""
-    c = np.zeros((height, width, 2))
-    c[:, 0] = c[:, -1] = 1
-    y = np.zeros_like(c)
-    y[:, -1] = end
-    return Problem(observed=y, confidence=c, stiffness=np.broadcast_to(m, (height, width)))
-
-
-def turned(height: int, width: int, degrees: float) -> Array:
-    """Return the displacement of the right end of a bar whose middle line is bent to an arc."""
-    angle = np.deg2rad(degrees)
-    radius = (width - 1) / angle
-    off = np.arange(height) - (height - 1) / 2
-    row = radius - (radius - off) * np.cos(angle) - off
-    return np.stack([row, (radius - off) * np.sin(angle) - (width - 1)], axis=-1)
-
-
-def between_plates(
-    m: npt.NDArray[Any],
-    by: tuple[float, ...],
-    spacing: tuple[float, ...] | None = None,
-    loads: Loads | None = None,
-) -> Problem:
-    """Return tissue between a fixed plate and a plate that is moved by `by` pixels.
-
-    Parameters
-    ----------
-    m : ndarray, shape (H, W) or (D, H, W)
-        Stiffness; the plates are its first and last sites along the first axis.
-    by : tuple of float
-        Displacement along each axis, in pixels of that axis.
-    spacing : tuple of float, optional
-        Size of a pixel; by default 1.
-    loads : Loads, optional
-    """
-    spacing = spacing or (1.0,) * m.ndim
-    y, c = np.zeros((2, *m.shape, m.ndim))
-    c[[0, -1]], y[-1] = 1, np.array(by) * spacing
-    return Problem(observed=y, confidence=c, stiffness=m, spacing=spacing, loads=loads)
-
-
-def random_block(size: int, contrast: float, by: tuple[float, ...], balls: int = 0) -> Problem:
-    """Return oblong voxels of random stiffness, with void balls, between two plates."""
-    dice, shape = dice_of(0), (size,) * 3
-    m = contrast ** dice.random(shape)
-    for _ in range(balls):
-        m[np.linalg.norm(_off(shape, dice.uniform(0.15, 0.85, 3) * size), axis=0) < 0.08 * size] = 0
-    return between_plates(m, by, OBLONG)
-
-
-def frame_problem(
-    shape: Shape,
-    seed: int = 0,
-    ratio: float = 4.0,
-    amplitude: float = 2.0,
-    spacing: tuple[float, ...] = (1.0, 1.0),
-    has_hole: bool = False,
-) -> Problem:
-    """Return an image of random tissue with random prescribed displacements at its border."""
-    dice = dice_of(seed)
-    m = ratio ** dice.random(shape)
-    if has_hole:
-        m[shape[0] // 2, shape[1] // 2] = 0
-    y = dice.normal(scale=amplitude, size=(*shape, 2))
-    c = np.zeros((*shape, 2))
-    c[[0, -1]] = c[:, [0, -1]] = 1
-    return Problem(observed=y, confidence=c, stiffness=m, spacing=spacing)
-
-
-def pulled_problem(
-    vector: tuple[float, float] = (2.0, -1.0),
-    at: tuple[float, float] = (10, 8),
-    stiff: float = 30.0,
-    size: int = 20,
-    radius: float = 2.5,
-) -> Problem:
-    """Return a body with a fixed border, a stiff inclusion and a pulled patch."""
-    m = np.full((size, size), 10.0)
-    m[size // 4 : size // 2, size // 2 : -3] = stiff
-    y, c = np.zeros((2, size, size, 2))
-    c[[0, -1]] = c[:, [0, -1]] = 1
-    patch = np.hypot(*_off((size, size), at)) <= radius
-    y[patch], c[patch] = vector, 1
-    return Problem(observed=y, confidence=c, stiffness=m)
-
-
-def framed_volume(
-    size: int, inside: npt.NDArray[np.bool_], y: npt.ArrayLike, loads: Loads | None = None
-) -> Problem:
-    """Return a cube with a fixed border, in which the sites `inside` are displaced by `y`."""
-    c = np.ones((size, size, size, 3))
-    middle = (slice(1, -1),) * 3
-    c[middle] = inside[middle][..., None]
-    return Problem(
-        observed=np.where(inside[..., None], y, 0.0),
-        confidence=c,
-        stiffness=np.ones((size, size, size)),
-        loads=loads,
-    )
-
-
-def growing_ball(size: int, factor: float) -> Problem:
-    """Return a cube with a fixed border and a central ball whose free radius grows by a factor."""
-    around = np.indices((size, size, size)) - (size - 1) / 2
-    ball = np.linalg.norm(around, axis=0) <= size / 8
-    loads = Loads(growth=np.where(ball, factor - 1, 0.0))
-    return framed_volume(size, np.zeros_like(ball), np.zeros((*ball.shape, 3)), loads)
-
-
-def dice_of(*seeds: int) -> Dice:
-    """Return the generator of a problem of a campaign, from its seed and its number."""
-    return np.random.default_rng(seeds)
 
 
 @dataclass(frozen=True, eq=False)
@@ -446,26 +326,21 @@ def _fibres(dice: Dice, shape: Shape) -> Array:
         if axes == 3:
             tilt = dice.uniform(0, math.pi)
             normal = np.array([math.cos(tilt), *(math.sin(tilt) * normal)])
-        off = sum(each * size for each, size in zip(_off(shape, place), normal, strict=True))
+        off = sum(each * size for each, size in zip(offsets(shape, place), normal, strict=True))
         share[np.abs(off) < dice.choice([0.5, 1.0, 1.5])] = 1
     return share
-
-
-def _off(shape: Shape, place: Any) -> Array:
-    """Return the position of each site relative to a place, shape (2, H, W) or (3, D, H, W)."""
-    return np.asarray(np.indices(shape) - np.reshape(place, (-1,) + (1,) * len(shape)))
 
 
 def _ball(dice: Dice, shape: Shape, least: float, most: float, place: Any = None) -> Flags:
     """Return the mask of a disc or a ball with a random radius, at a random place by default."""
     place = dice.random(len(shape)) * shape if place is None else place
-    return np.asarray(np.linalg.norm(_off(shape, place), axis=0) < dice.uniform(least, most))
+    return np.asarray(np.linalg.norm(offsets(shape, place), axis=0) < dice.uniform(least, most))
 
 
 def _beyond_ellipse(shape: Shape, size: float) -> Flags:
     """Return the mask of sites outside an ellipse of the proportions of the grid."""
     middle, sides = (np.array(shape) - 1) / 2, np.reshape(shape, (-1,) + (1,) * len(shape))
-    return np.asarray(((_off(shape, middle) / sides) ** 2).sum(axis=0) > size)
+    return np.asarray(((offsets(shape, middle) / sides) ** 2).sum(axis=0) > size)
 
 
 def _void(dice: Dice, shape: Shape, shares: tuple[float, ...]) -> tuple[str, Flags]:
@@ -489,7 +364,7 @@ def _contents(dice: Dice, m: npt.NDArray[np.float32], unit: float) -> Contents:
     axes, sides = m.ndim, np.array(m.shape)
     middle = dice.uniform(0.2, 0.8, axes) * (sides - 1)
     radii = dice.uniform(0.1, 0.35, axes) * sides + 0.4
-    inside = ((_off(m.shape, middle) / radii.reshape(-1, *(1,) * axes)) ** 2).sum(axis=0) <= 1
+    inside = ((offsets(m.shape, middle) / radii.reshape(-1, *(1,) * axes)) ** 2).sum(axis=0) <= 1
     soft = float(np.median(m[m > 0]))
     return Contents(
         removed=inside & (m > 0),
@@ -504,14 +379,14 @@ def _labels(dice: Dice, shape: Shape) -> Labels:
     """Return labels of two or three parts, between straight or bent interfaces."""
     if dice.random() < 0.4:
         middle, tilt = (np.array(shape) - 1) / 2, dice.normal(size=len(shape))
-        return np.asarray(np.tensordot(tilt, _off(shape, middle), 1) > 0, np.int32)
+        return np.asarray(np.tensordot(tilt, offsets(shape, middle), 1) > 0, np.int32)
     return _nearest(dice, shape, int(dice.integers(2, 4)))
 
 
 def _nearest(dice: Dice, shape: Shape, count: int) -> Labels:
     """Return the number of the nearest of some random points at each site."""
     points = dice.random((count, len(shape))) * shape
-    away = [np.linalg.norm(_off(shape, point), axis=0) for point in points]
+    away = [np.linalg.norm(offsets(shape, point), axis=0) for point in points]
     return np.argmin(away, axis=0).astype(np.int32)
 
 

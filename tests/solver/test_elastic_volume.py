@@ -19,9 +19,9 @@ from napari_hmrf.solver.priors.elements import Lame
 from napari_hmrf.solver.priors.hexahedra import brick_shape
 from napari_hmrf.solver.volume_memory import ORDINARY
 from tests.support.cancel_flags import During
+from validation.bodies import OBLONG, between_plates
 from validation.oracles import calculix
 from validation.oracles.elasticity import direct_solution, grid_matrix
-from validation.problems import OBLONG, between_plates
 
 PRECISE = Multigrid(1e-3)
 

@@ -22,7 +22,7 @@ from napari_hmrf.solver import live_solver as live_module
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.live_solver import LiveSolver
 from tests.support.timeouts import LONG
-from validation.problems import pulled_problem
+from validation.bodies import pulled_problem
 
 SIZE = 20
 

@@ -7,8 +7,9 @@ from benchmarks import campaign
 from napari_hmrf import ElasticPrior, Problem, solve
 from napari_hmrf.solver.neighbours import sites_of_elements
 from napari_hmrf.tissue import SlidingParts
+from validation.bodies import dice_of
 from validation.oracles.parts import dense_solution, forces_of
-from validation.problems import dice_of, random_parts
+from validation.problems import random_parts
 
 #: Parts "a" and "b" with pieces that touch at a corner only. "." is void; capitals are held.
 TOUCHING = {

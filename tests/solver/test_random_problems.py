@@ -6,7 +6,8 @@ import pytest
 from benchmarks import campaign as campaigns
 from napari_hmrf import Multigrid, solve
 from tests.support.opengl import require_opengl
-from validation.problems import dice_of, random_problem
+from validation.bodies import dice_of
+from validation.problems import random_problem
 
 campaign = pytest.mark.campaign
 

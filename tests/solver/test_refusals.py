@@ -17,7 +17,8 @@ from napari_hmrf import (
     SeilerPrior,
     solve,
 )
-from validation.problems import dice_of, random_problem
+from validation.bodies import dice_of
+from validation.problems import random_problem
 
 
 def solve_drawn(seed, number):

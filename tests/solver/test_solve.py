@@ -16,7 +16,7 @@ from napari_hmrf.solver.backends.thread import ComputeThread, compute_thread
 from napari_hmrf.solver.solve import run_here
 from tests.support.cancel_flags import AfterLooks
 from tests.support.timeouts import LONG
-from validation.problems import frame_problem
+from validation.bodies import frame_problem
 
 
 def test_progress_runs_from_0_to_1_on_the_calling_thread():

@@ -20,10 +20,11 @@ from napari_hmrf.solver.optimizers import ICM
 from napari_hmrf.solver.priors import line_steps, line_weights
 from napari_hmrf.solver.quadtree import levels
 from tests.support.cancel_flags import During
+from validation.bodies import dice_of
 from validation.oracles import followed
 from validation.oracles.paper import line_weights as reference_weights
 from validation.oracles.paper import solve_exactly, total_energy
-from validation.problems import dice_of, random_problem
+from validation.problems import random_problem
 
 CUBES, OBLONG = (1.0, 1.0, 1.0), (1.0, 1.7, 0.6)
 PRECISE = Multigrid(1e-3)

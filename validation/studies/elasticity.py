@@ -13,10 +13,10 @@ from napari_hmrf import ConvergenceError, ElasticPrior, Multigrid, Problem, Seil
 from napari_hmrf.data import phantom
 from napari_hmrf.fields import rmsd
 from napari_hmrf.solver.priors.elastic import Plane
+from validation.bodies import OBLONG, random_block
 from validation.oracles import calculix
 from validation.oracles.elasticity import direct_solution
 from validation.oracles.paper import solve_exactly
-from validation.problems import OBLONG, random_block
 from validation.studies.paper import PHANTOMS, bar_strain_ratio
 from validation.study import (
     COLOURS,

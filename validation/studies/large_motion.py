@@ -18,9 +18,9 @@ import numpy.typing as npt
 from napari_hmrf import ElasticPrior, Multigrid, NeoHookeanPrior, Problem, solve
 from napari_hmrf.loads import Loads, growth, weight
 from napari_hmrf.solver.priors.elastic import Plane
+from validation.bodies import bar, between_plates, turned
 from validation.oracles import calculix
 from validation.oracles.large_motion import large_field
-from validation.problems import bar, between_plates, turned
 from validation.study import Options, Results, Table, study
 
 Field = npt.NDArray[np.float64]

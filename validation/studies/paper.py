@@ -29,9 +29,9 @@ from napari_hmrf.solver.backends import SolveJob, compute_thread, open_backend
 from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.quadtree import levels, nearest_pixels
+from validation.bodies import bar
 from validation.oracles.elasticity import assemble, direct_solution
 from validation.oracles.paper import equations, prolong, solve_exactly, solve_literally
-from validation.problems import bar
 from validation.study import (
     COLOURS,
     Options,

@@ -52,6 +52,7 @@ from napari_hmrf import (
 from napari_hmrf.data import phantom
 from napari_hmrf.extras import how_to_install
 from napari_hmrf.fields import rmsd
+from validation.bodies import between_plates, random_block
 from validation.oracles import calculix
 from validation.oracles.elasticity import (
     System,
@@ -60,7 +61,6 @@ from validation.oracles.elasticity import (
     factorise,
     rigid_motions,
 )
-from validation.problems import between_plates, random_block
 from validation.study import Options, Table, Target, backends, study
 from validation.study import Results as StudyResults
 

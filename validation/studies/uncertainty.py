@@ -31,9 +31,10 @@ from napari_hmrf.posterior.noise import PosteriorNoise
 from napari_hmrf.posterior.response import Response
 from napari_hmrf.posterior.sampling import Sampler, checked_prior, energy_of
 from napari_hmrf.posterior.scale_fit import Likelihood
+from validation.bodies import between_plates
 from validation.oracles.elasticity import direct_solution, stiffness_matrix
 from validation.oracles.posterior import interpolation, posterior_covariance
-from validation.problems import between_plates, small_tissue_with_data
+from validation.problems import small_tissue_with_data
 from validation.study import Options, Results, Table, numbered, study
 
 Array = npt.NDArray[np.float64]

@@ -11,8 +11,8 @@ from napari_hmrf import ICM, ConvergenceError, Problem, SeilerPrior, solve
 from napari_hmrf.data import phantom
 from napari_hmrf.solver.connected import connected
 from napari_hmrf.solver.quadtree import levels
+from validation.bodies import frame_problem
 from validation.oracles.paper import local_energy, solve_exactly, solve_literally
-from validation.problems import frame_problem
 
 CONVERGED = ICM(iterations=20000, steps=None, energy_change=1e-9)
 

@@ -23,7 +23,7 @@ from napari_hmrf.solver import live_solver
 from napari_hmrf.solver.live_solver import Known
 from napari_hmrf.solver.optimizers import work
 from napari_hmrf.solver.optimizers.coarse_start import coarse_problem, prolonged
-from validation.problems import bar, turned
+from validation.bodies import bar, turned
 
 PRIOR = NeoHookeanPrior()
 

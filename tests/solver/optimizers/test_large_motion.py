@@ -20,8 +20,8 @@ from napari_hmrf import (
     solve,
 )
 from napari_hmrf.loads import Loads
+from validation.bodies import bar, turned
 from validation.oracles.large_motion import large_field
-from validation.problems import bar, turned
 
 Field = npt.NDArray[np.float64]
 

@@ -22,13 +22,13 @@ from napari_hmrf.loads import Loads
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.priors.finite_bricks import bernstein_coefficients
 from napari_hmrf.solver.priors.hexahedra import brick_shape
+from validation.bodies import dragged_ball, framed, growing_ball
 from validation.oracles.large_motion import (
     displaced_corners,
     large_field,
     smallest_jacobian,
     smallest_jacobians,
 )
-from validation.problems import framed_volume, growing_ball
 
 Field = npt.NDArray[np.float64]
 CUBE = brick_shape((1.0, 1.0, 1.0))
@@ -44,14 +44,6 @@ def random_volume(
     loads = Loads(growth=strain + strain.swapaxes(-1, -2)) if grows else None
     c = np.ones((*shape, 3))
     return Problem(observed=c, confidence=c, stiffness=m, spacing=(1.0, 1.3, 0.8), loads=loads)
-
-
-def pulled_patch(size: int, far: float) -> Problem:
-    """Return a ball that is moved along the last axis inside a fixed cube."""
-    around = np.indices((size, size, size)) - (size - 1) / 2
-    around[2] += far / 2
-    ball = np.linalg.norm(around, axis=0) <= size / 8
-    return framed_volume(size, ball, np.broadcast_to([0.0, 0.0, far], (*ball.shape, 3)))
 
 
 @pytest.mark.parametrize("grows", [False, True])
@@ -168,7 +160,7 @@ def test_large_motion_of_a_volume_matches_an_independent_newton_solve(poisson) -
 
 
 def test_small_motion_of_a_volume_equals_that_of_the_elastic_prior() -> None:
-    problem = pulled_patch(12, 1e-4)
+    problem = dragged_ball(12, 1e-4)
     exactly = Multigrid(1e-9)
     large = solve(problem, NeoHookeanPrior(0.45), optimizer=exactly, backend="cpu").displacement
     small = solve(problem, ElasticPrior(0.45), optimizer=exactly, backend="cpu").displacement
@@ -215,7 +207,7 @@ def test_a_ball_that_doubles_its_radius_folds_no_tissue() -> None:
 
 
 def test_a_patch_can_be_dragged_far_through_a_volume_without_folds() -> None:
-    problem = pulled_patch(14, 3.5)
+    problem = dragged_ball(14, 3.5)
     solution = solve(problem, NeoHookeanPrior(), backend="cpu")
     assert smallest_jacobian(problem, solution.displacement) > 0
     np.testing.assert_allclose(
@@ -232,8 +224,8 @@ def test_a_rigid_cube_can_rotate_by_45_degrees() -> None:
     turned = Rotation.from_rotvec([0, 0, np.pi / 4]).apply(places.reshape(-1, 3))
     inside = np.zeros(m.shape, dtype=np.bool_)
     inside[bone] = True
-    framed = framed_volume(size, inside, turned.reshape(places.shape) - places)
-    problem = Problem(observed=framed.observed, confidence=framed.confidence, stiffness=m)
+    held = framed(inside, turned.reshape(places.shape) - places)
+    problem = Problem(observed=held.observed, confidence=held.confidence, stiffness=m)
     solution = solve(problem, NeoHookeanPrior(0.3), backend="cpu")
     assert smallest_jacobian(problem, solution.displacement) > 0
     np.testing.assert_allclose(solution.displacement[bone], problem.observed[bone], atol=1e-3)
@@ -269,7 +261,7 @@ def test_forces_and_slipping_observations_are_in_equilibrium() -> None:
     assert np.abs(solution.displacement[-1, :, :, 1]).min() > 1, "the motion is not large"
     rest = prior.forces(problem, solution.displacement)
     assert np.abs(rest[~problem.known]).max() < 1e-3 * np.abs(rest).max()
-    doubted = pulled_patch(10, 2.0)
+    doubted = dragged_ball(10, 2.0)
     c = np.where(doubted.observed != 0, 0.05, doubted.confidence)
     slips = solve(
         Problem(observed=doubted.observed, confidence=c, stiffness=doubted.stiffness),
@@ -288,9 +280,9 @@ def test_a_solve_of_a_volume_in_large_motion_can_be_cancelled() -> None:
             stop.set()
 
     with pytest.raises(Cancelled):
-        solve(pulled_patch(14, 3.5), NeoHookeanPrior(), backend="cpu", progress=cancel, cancel=stop)
+        solve(dragged_ball(14, 3.5), NeoHookeanPrior(), backend="cpu", progress=cancel, cancel=stop)
 
 
 def test_shaders_do_not_solve_volumes_in_large_motion() -> None:
     with pytest.raises(BackendError, match="loops solve large motion, not opengl"):
-        solve(pulled_patch(8, 1.0), NeoHookeanPrior(), backend="opengl")
+        solve(dragged_ball(8, 1.0), NeoHookeanPrior(), backend="opengl")

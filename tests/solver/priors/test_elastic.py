@@ -23,8 +23,8 @@ from napari_hmrf.solver.backends.cpu import elastic_model, forces
 from napari_hmrf.solver.backends.cpu.elastic_model import CpuElasticModel
 from napari_hmrf.solver.coarse_levels import smoother_bounds
 from napari_hmrf.solver.priors.elements import element_forces
+from validation.bodies import frame_problem
 from validation.oracles.elasticity import direct_solution, stiffness_matrix
-from validation.problems import frame_problem
 
 PLANES = ["stress", "strain"]
 random_problem = partial(frame_problem, ratio=5.0, amplitude=1.0)

@@ -17,7 +17,7 @@ from napari_hmrf.solver.backends.compile_cache.watch import watched
 from napari_hmrf.solver.backends.opengl import is_software_renderer
 from tests.support.opengl import require_opengl
 from tests.support.timeouts import LONG
-from validation.problems import pulled_problem
+from validation.bodies import pulled_problem
 
 
 class Drag:
