@@ -288,7 +288,7 @@ def _note_on_labels(pixels: Pixels, name: str) -> str:
     """
     kind = pixels.dtype.kind
     if not pixels.size or not (
-        kind in "iu" or (kind == "f" and np.array_equal(pixels, pixels // 1))
+        kind in "iu" or (kind == "f" and np.array_equal(pixels, np.rint(pixels)))
     ):
         return ""
     values = np.unique(pixels)

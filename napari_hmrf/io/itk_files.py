@@ -99,11 +99,7 @@ def read_itk_image(source: Path) -> ItkImage:
     _refuse_faults(source)
     _check_length(source)
     image = _in_millimetres(_image(_decode(source, "pixels")), source)
-    values = not_finite(source) if _is_real_nifti(source, image) else None
-    if values is not None:  # ITK has replaced them by 0
-        stored = values.reshape(image.components, -1).T.reshape(image.pixels.shape)
-        unknown = ~np.isfinite(stored)
-        image.pixels[unknown] = stored[unknown]
+    _restore_unknown(image, source)
     return image
 
 
@@ -335,10 +331,20 @@ def _header(image: ItkImage) -> dict[str, Any]:
     }
 
 
+def _restore_unknown(image: ItkImage, source: Path) -> None:
+    """Restore NaN and infinite values of NIfTI in place, which ITK has replaced by 0."""
+    values = not_finite(source) if _is_real_nifti(source, image) else None
+    if values is not None:
+        stored = values.reshape(image.components, -1).T.reshape(image.pixels.shape)
+        unknown = ~np.isfinite(stored)
+        image.pixels[unknown] = stored[unknown]
+
+
 def _reads_back(file: Path, image: ItkImage, *, transform: bool) -> bool:
     """Return whether the content of a written file is equal to the image."""
     try:
         read = _image(_decode(file, "pixels", vectors=transform))
+        _restore_unknown(read, file)
     except (Unreadable, OSError):
         return False
     read_pixels, pixels = read.pixels, np.asarray(image.pixels)

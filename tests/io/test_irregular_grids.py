@@ -20,7 +20,7 @@ from napari_hmrf.io import case
 from napari_hmrf.io.apply import FieldFile, _note_on_labels, apply_field
 from napari_hmrf.io.case import as_labels, read_case
 from napari_hmrf.io.case_options import Case
-from napari_hmrf.io.images import is_scan, read_image
+from napari_hmrf.io.images import is_scan, read_image, write_image
 from napari_hmrf.io.itk_decoder import Refused, check_regular
 from napari_hmrf.io.nifti import _HEADER
 from napari_hmrf.io.segmentation_tables import read_label_names
@@ -210,8 +210,10 @@ def test_files_that_itk_does_not_read_are_refused_with_their_reason(tmp_path):
 def test_nan_and_infinite_voxels_stay_so(tmp_path, dtype):
     pixels = np.arange(np.prod(SHAPE), dtype=dtype).reshape(SHAPE)
     pixels[1, 2, 3], pixels[4, 5, 6] = np.nan, -np.inf
-    read = read_image(nifti(tmp_path / "a.nii", pixels=pixels)).pixels
-    np.testing.assert_array_equal(read, pixels)
+    read = read_image(nifti(tmp_path / "a.nii", pixels=pixels))
+    again = read_image(write_image(tmp_path / "b.nii.gz", read))
+    for image in (read, again):
+        np.testing.assert_array_equal(image.pixels, pixels)
 
 
 def test_fields_of_spm_and_niftyreg_are_read_as_displacements(tmp_path):
