@@ -137,6 +137,12 @@ def _of_nibabel(image: Any) -> tuple[tuple[int, ...], Place]:
     if hasattr(header, "get_qform") and hasattr(header, "get_sform"):  # NIfTI
         codes = int(header["qform_code"]), int(header["sform_code"])
         fault = fault_of_places(header.get_qform(), header.get_sform(), codes, shape)
+        if codes == (0, 0):
+            fault = (
+                "its header states no place (the codes of its qform and sform are 0), and ITK does "
+                "not centre such an image as nibabel does. Set the place: "
+                "image.set_sform(image.affine, code=1)"
+            )
         if fault:
             raise ProblemError("image", f"is ambiguous: {fault}.")
     steps: npt.NDArray[np.float64] = _TO_LPS @ affine

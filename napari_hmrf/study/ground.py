@@ -196,7 +196,7 @@ class Ground:
             if study.motion.labels is not None:  # an expanding patch must remain free inside
                 free &= study.motion.labels == 0
             for part in (tissue, ground.body):
-                rim = outer_rim(part) & free
+                rim = outer_rim(part, diagonal=True) & free
                 base.observed[rim], base.confidence[rim] = 0, 1
         return replace(ground, notes=tuple(notes))
 
@@ -414,7 +414,8 @@ class Ground:
             return ""
         both = statement.removed & (statement.problem.confidence > 0).any(axis=-1)
         if self.study.motion.hold_edge:  # the outer edge of removed tissue is not held on purpose
-            both &= ~(outer_rim(self.stiffness > 0) | outer_rim(self.body))
+            for part in (self.stiffness > 0, self.body):
+                both &= ~outer_rim(part, diagonal=True)
         count = int(both.sum())
         if not count:
             return ""

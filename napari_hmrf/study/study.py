@@ -378,7 +378,7 @@ class Motion:
     ----------
     hold_edge : bool
         If True, fix the outer edge of the tissue: tissue next to void or to the dark surroundings,
-        and tissue at the edge of the image. The edges of holes remain free.
+        also diagonally, and tissue at the edge of the image. The edges of holes remain free.
     labels : ndarray of int, shape ([D,] H, W), optional
         Painted boundary labels. Each label except 0 has a row in `rules`.
     rules : tuple of BoundaryRule

@@ -128,22 +128,26 @@ def _refuse_open_line(
     )
 
 
-def outer_rim(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+def outer_rim(mask: npt.NDArray[np.bool_], *, diagonal: bool = False) -> npt.NDArray[np.bool_]:
     """Return the outer outline of each part of a mask, without the outlines of its holes.
 
     Parameters
     ----------
     mask : ndarray of bool, shape ([D,] H, W)
+    diagonal : bool
+        True to include pixels that touch the outside at an edge or a corner only. As corners of an
+        element that is missing, they are on the surface of the elements.
 
     Returns
     -------
     ndarray of bool, shape ([D,] H, W)
         Pixels of each part that are next to the outside of the part or at the edge of the image.
     """
-    rim = mask & ~scipy.ndimage.binary_erosion(mask)
+    near = scipy.ndimage.generate_binary_structure(mask.ndim, mask.ndim if diagonal else 1)
+    rim = mask & ~scipy.ndimage.binary_erosion(mask, near)
     for box, part in parts_of(mask):
         if part.size > _SPECK:
-            rim[box] &= ~(part & scipy.ndimage.binary_erosion(~outside_of(part)))
+            rim[box] &= ~(part & scipy.ndimage.binary_erosion(~outside_of(part), near))
     return np.asarray(rim)
 
 

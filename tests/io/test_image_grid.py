@@ -260,6 +260,31 @@ def test_an_unknown_unit_of_a_nibabel_header_is_refused():
         Grid.from_image(nibabel_of(scan(), "inch"))
 
 
+class NiftiHeader(dict):
+    """Header of a NIfTI image of nibabel with the given codes and one affine."""
+
+    def __init__(self, affine, qform_code, sform_code):
+        super().__init__(qform_code=qform_code, sform_code=sform_code)
+        self.affine = affine
+
+    def get_qform(self):
+        return self.affine
+
+    get_sform = get_qform
+
+    def get_xyzt_units(self):
+        return "mm", "sec"
+
+
+def test_a_nibabel_image_whose_header_states_no_place_is_refused():
+    given = nibabel_of(scan())
+    given.header = NiftiHeader(given.affine, 1, 0)
+    assert Grid.from_image(given).place is not None
+    given.header = NiftiHeader(given.affine, 0, 0)
+    with pytest.raises(ProblemError, match=r"states no place.*set_sform"):
+        Grid.from_image(given)
+
+
 def placed_field(place=None, unit="", spacing=SPACING):
     """Return a solution without motion, with or without a place."""
     shape = SHAPE

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from napari_hmrf import (
     Arrow,
@@ -154,10 +155,8 @@ def test_the_outer_edge_of_a_volume_is_fixed_and_the_rims_of_holes_are_free():
     rows = (Material(0, "air", 0.0), Material(1, "brain", 3.0))
     study = Study(Grid(SHAPE, SPACING), Tissue(labels, rows), Motion(hold_edge=True))
     held = Ground.of(study).base.confidence.any(axis=-1)
-    assert held.any()
-    assert not (held & ~ball(6)).any()
-    assert held[6, 8, np.flatnonzero(labels[6, 8])[0]]
-    assert not held[5:8, 7:10, 6:9].any()
+    corners = np.ones((3, 3, 3), bool)  # of elements, which are missing beside void
+    np.testing.assert_array_equal(held, ball(6) & ~ndimage.binary_erosion(ball(6), corners))
 
 
 def test_the_displacement_does_not_depend_on_the_order_of_the_axes():
