@@ -202,7 +202,7 @@ def control_patches(
             "labels", "have no soft tissue. Give a label a stiffness above 0 that is not rigid."
         )
     if hold_edge:
-        soft &= ~outer_rim(m > 0)
+        soft &= ~outer_rim(m > 0, diagonal=True)
     # The padding makes the edge of the image an edge of the tissue.
     inner = tuple(slice(1, -1) for _ in m.shape)
     depth = scipy.ndimage.distance_transform_edt(np.pad(soft, 1), sampling=spacing)[inner]

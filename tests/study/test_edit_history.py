@@ -61,6 +61,16 @@ def play(edits, what, slot, choices):
     return values[-1] != before
 
 
+def test_an_edit_after_an_undo_leaves_nothing_to_redo():
+    edits, (pulled, held) = opened(), SLOTS[:2]
+    edits.do(pulled, VALUES[pulled][1], "pulled")
+    edits.undo()
+    edits.do(held, VALUES[held][1], "held")
+    assert edits.next_redo is None
+    assert edits.redo() is None
+    assert edits.get(pulled) == FIRST[pulled]
+
+
 @settings(max_examples=30)
 @given(sequences)
 def test_undo_restores_the_exact_earlier_state_and_redo_the_later_state(sequence):
