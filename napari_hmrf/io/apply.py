@@ -30,6 +30,7 @@ from napari_hmrf.io.landmark_files import (
 )
 from napari_hmrf.io.study_file import is_study_file, read_solved
 from napari_hmrf.solver.problem import grid_in_words
+from napari_hmrf.solver.real_arrays import whole_numbers
 from napari_hmrf.solver.solution import Solution, is_solution_file
 
 Pixels = npt.NDArray[Any]
@@ -237,7 +238,8 @@ def apply_field(
     ------
     ProblemError
         If the size or place of the image differs from that of the field; if the image would be
-        overwritten; or if the image is a volume and the field does not state its slice.
+        overwritten; if the image is a volume and the field does not state its slice; or if a label
+        is not a whole number.
     FileFormatError, HmrfError, OSError
         As for `read_image`, `write_image`, `read_points` and `write_points`.
     """
@@ -247,6 +249,8 @@ def apply_field(
     if name.lower().endswith(POINT_SUFFIXES):
         return _move_landmarks(field, path, target)
     image, n = read_image(path), len(field.shape)
+    if labels:
+        whole_numbers(name, image.pixels)
     order = 0 if labels else 1
     blended = "" if labels else _note_on_labels(image.pixels, name)
     if n == 2 and image.ndim == 3 and image.place is not None:

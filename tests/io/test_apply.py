@@ -105,6 +105,15 @@ def test_a_note_counts_pixels_that_are_nan_or_infinite(solved, tmp_path, capsys)
     assert np.isnan(read_image(tmp_path / "out" / "mr.tif").pixels).any()
 
 
+def test_labels_that_are_no_whole_numbers_are_refused(solved, tmp_path):
+    write_image(tmp_path / "seg.tif", ImageFile(np.full(SHAPE, 1.5, np.float32)))
+    with pytest.raises(ProblemError, match=r"seg\.tif: have the value 1\.5"):
+        apply_field(
+            read_field_file(solved[0]), tmp_path / "seg.tif", tmp_path / "moved.tif", labels=True
+        )
+    assert not (tmp_path / "moved.tif").exists()
+
+
 def test_landmarks_move_with_the_tissue(solved, tmp_path):
     path, solution = solved
     at = np.array([[20.0, 22.0], [10.5, 30.25]])
