@@ -18,6 +18,7 @@ import numpy as np
 from napari_hmrf.augmentation.ground_truth import Truth, write_truth
 from napari_hmrf.command_line import parser_of_commands
 from napari_hmrf.errors import HmrfError, in_words
+from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.field.warp import has_volume_loops
 from napari_hmrf.io.apply import apply_field, read_field_file, write_field_file
 from napari_hmrf.io.batch import SUMMARY, solve_cases
@@ -406,7 +407,7 @@ def _truth(options: argparse.Namespace) -> int:
     def report(truth: Truth) -> None:
         progress.end()
         part = "" if truth.scale == 1 else f", scaled to {truth.scale:.0%}"
-        moved = f"moved up to {truth.farthest:.3g} {truth.unit}{part}"
+        moved = f"moved up to {truth.farthest:.3g} {unit_symbol(truth.unit)}{part}"
         print(f"written: {truth.folder} ({moved})", flush=True)
 
     progress = _ProgressLine()
