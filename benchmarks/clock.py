@@ -42,21 +42,24 @@ class Times(NamedTuple):
         Elapsed time, which other programs on the machine increase.
     processor : float
         Processor time of all threads of this process, and of child processes that ended meanwhile.
+    thread : float
+        Processor time of the calling thread.
     """
 
     wall: float
     processor: float
+    thread: float
 
 
 def now() -> Times:
     """Return the present times, to subtract from later times."""
-    return Times(time.perf_counter(), _processor_seconds())
+    return Times(time.perf_counter(), _processor_seconds(), time.thread_time())
 
 
 def since(begun: Times) -> Times:
     """Return the times since a result of `now`."""
     ended = now()
-    return Times(ended.wall - begun.wall, ended.processor - begun.processor)
+    return Times(*(after - before for after, before in zip(ended, begun, strict=True)))
 
 
 def timed(work: Callable[[], _Result]) -> tuple[_Result, Times]:

@@ -59,7 +59,15 @@ from napari_hmrf import (
     solve,
 )
 from napari_hmrf.data import head_phantom, phantom
-from validation.bodies import bar, dragged_ball, framed, growing_ball, turned
+from validation.bodies import (
+    bar,
+    between_plates,
+    dragged_ball,
+    dragged_disc,
+    framed,
+    growing_ball,
+    turned,
+)
 
 Array = npt.NDArray[Any]
 #: Name of the phantom of most cases in images.
@@ -475,7 +483,7 @@ def large_image(size: int) -> dict[str, Work]:
     problems = {
         "rim pushed by 8 px": _rim(size, 8),
         "rim pushed by 12 px": _rim(size, 12),
-        "patch dragged by 60 px": _patch(size, 15, 60),
+        "patch dragged by 60 px": dragged_disc(size, 15, 60),
         "bar pulled by half its length": bar(size, size, (0.0, (size - 1) / 2)),
     }
     return {title: _large(problem, _steps) for title, problem in problems.items()}
@@ -484,7 +492,7 @@ def large_image(size: int) -> dict[str, Work]:
 @case("large-drag", 300, baseline="linear solves")
 def large_drag(size: int) -> dict[str, Work]:
     """One frame of a drag by 3 px a frame in large motion."""
-    return {"patch": _frames(lambda far: _patch(size, 15, far, begun=60), 3.0, WITHIN)}
+    return {"patch": _frames(lambda far: dragged_disc(size, 15, far, begun=60), 3.0, WITHIN)}
 
 
 @case("large-volume", 32, baseline="linear solves", is_long=True)
@@ -546,8 +554,8 @@ def _frames(at: Callable[[float], Problem], step: float, optimizer: Multigrid) -
 def budget(size: int) -> dict[str, Work]:
     """Cold solve in large motion that the budget ends, and its pictures in a live solver."""
     problems = {
-        "patch dragged by a fifth": _patch(size, size / 20, size / 5),
-        "patch dragged by two fifths": _patch(size, size / 20, 2 * size / 5),
+        "patch dragged by a fifth": dragged_disc(size, size / 20, size / 5),
+        "patch dragged by two fifths": dragged_disc(size, size / 20, 2 * size / 5),
         "patch dragged across the sample": _across_sample(size),
         "free edge pulled into the tissue": _free_edge(size),
         "tissue pressed to 2 %": _pressed(size),
@@ -563,13 +571,6 @@ def budget(size: int) -> dict[str, Work]:
         return f"{_steps_and_rest(found)}; live: pictures after {pictures} s"
 
     return {title: _large(problem, partial(note, problem)) for title, problem in problems.items()}
-
-
-def _patch(size: int, radius: float, far: float, begun: float | None = None) -> Problem:
-    """Return a block with a fixed border, in which a patch is dragged along the last axis."""
-    row, col = np.indices((size, size)) - size // 2
-    inside = row**2 + (col + (far if begun is None else begun) / 2) ** 2 <= radius**2
-    return framed(inside, (0, far))
 
 
 def _rim(size: int, far: float) -> Problem:
@@ -616,10 +617,9 @@ def _pressed(size: int) -> Problem:
 def _bent_bar(size: int) -> Problem:
     """Return a bar of a sixth of its length whose end is turned by 90 degrees along an arc."""
     height = max(size // 6, 3)
-    c, y = np.zeros((2, size, height, height, 3))
-    c[0] = c[-1] = 1
-    y[-1, ..., :2] = turned(height, size, 90)[:, None, ::-1]  # the first axis is along the bar
-    return Problem(observed=y, confidence=c, stiffness=np.ones((size, height, height)))
+    end = np.zeros((height, height, 3))
+    end[..., :2] = turned(height, size, 90)[:, None, ::-1]  # the first axis is along the bar
+    return between_plates(np.ones((size, height, height)), end)
 
 
 # Registration, uncertainty and data for training.

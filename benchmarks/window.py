@@ -168,7 +168,7 @@ class ImageWindow(Window):
         self.wait(0.5)
         self._late.clear()
         self._seen = None
-        began, own = now(), time.thread_time()
+        began = now()
         self._begun = began.wall
         mouse.start()
         questions.start()
@@ -180,7 +180,7 @@ class ImageWindow(Window):
         found = {
             "late": self._late.copy(),
             "rate": len(self._late) / took.wall,
-            "thread": (time.thread_time() - own) / pictures,
+            "thread": took.thread / pictures,
             "all": took.processor / pictures,
             "click": questions.waits,
         }
@@ -251,7 +251,7 @@ class VolumeWindow(Window):
         """Move for a number of seconds, undo the drag, and return the measured times."""
         self.send(QEvent.Type.MouseButtonPress, self._place(0))
         late: list[float] = []
-        began, own = now(), time.thread_time()
+        began = now()
         while len(late) < 3 or since(began).wall < seconds:
             moved, results = now(), len(self._results)
             self._native._last_time = 0.0  # vispy drops moves in quick succession
@@ -263,7 +263,7 @@ class VolumeWindow(Window):
         found = {
             "late": late,
             "rate": len(late) / took.wall,
-            "thread": (time.thread_time() - own) / len(late),
+            "thread": took.thread / len(late),
             "all": took.processor / len(late),
             "click": [],
         }

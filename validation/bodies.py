@@ -42,7 +42,7 @@ def turned(height: int, width: int, degrees: float) -> Array:
 
 def between_plates(
     m: npt.NDArray[Any],
-    by: tuple[float, ...],
+    by: npt.ArrayLike,
     spacing: tuple[float, ...] | None = None,
     loads: Loads | None = None,
 ) -> Problem:
@@ -52,7 +52,7 @@ def between_plates(
     ----------
     m : ndarray, shape (H, W) or (D, H, W)
         Stiffness; the plates are its first and last sites along the first axis.
-    by : tuple of float
+    by : array_like, shape (axes,), or that with the shape of a plate before it
         Displacement along each axis, in pixels of that axis.
     spacing : tuple of float, optional
         Size of a pixel; by default 1.
@@ -111,8 +111,10 @@ def pulled_problem(
     return Problem(observed=y, confidence=c, stiffness=m)
 
 
-def framed(inside: Flags, y: npt.ArrayLike, loads: Loads | None = None) -> Problem:
-    """Return uniform tissue with a fixed border, in which the sites `inside` are displaced by `y`.
+def framed(
+    inside: Flags, y: npt.ArrayLike, loads: Loads | None = None, stiffness: npt.ArrayLike = 1.0
+) -> Problem:
+    """Return tissue with a fixed border, in which the sites `inside` are displaced by `y`.
 
     Parameters
     ----------
@@ -120,6 +122,7 @@ def framed(inside: Flags, y: npt.ArrayLike, loads: Loads | None = None) -> Probl
     y : array_like, shape (axes,) or (H, W, 2) or (D, H, W, 3)
         Displacement in pixels.
     loads : Loads, optional
+    stiffness : array_like, shape () or that of `inside`
     """
     axes = inside.ndim
     c = np.ones((*inside.shape, axes))
@@ -128,9 +131,20 @@ def framed(inside: Flags, y: npt.ArrayLike, loads: Loads | None = None) -> Probl
     return Problem(
         observed=np.where(inside[..., None], y, 0.0),
         confidence=c,
-        stiffness=np.ones(inside.shape),
+        stiffness=np.broadcast_to(stiffness, inside.shape),
         loads=loads,
     )
+
+
+def dragged_disc(size: int, radius: float, far: float, begun: float | None = None) -> Problem:
+    """Return an image with a fixed border and a disc that is dragged along the last axis.
+
+    It is dragged by `far` pixels, from `begun / 2` pixels before the middle, by default half the
+    way.
+    """
+    row, col = np.indices((size, size)) - size // 2
+    off = (far if begun is None else begun) / 2
+    return framed(row**2 + (col + off) ** 2 <= radius**2, (0, far))
 
 
 def dragged_ball(size: int, far: float, off: float | None = None) -> Problem:

@@ -231,7 +231,7 @@ def _drawn(
     body = m[m > 0]
     decade = math.floor(math.log10(body.max() / body.min()))
     if axes == 3 and not is_small and isinstance(prior, ElasticPrior) and dice.random() < 0.3:
-        rigid = _noise(dice, shape, dice.uniform(0.6, 3)) > dice.uniform(0.8, 0.98)
+        rigid = smooth_noise(dice, shape, dice.uniform(0.6, 3)) > dice.uniform(0.8, 0.98)
         m[rigid & (m > 0) & ~observed.any(axis=-1)] = np.inf
     given = {"observed": y, "confidence": c, "stiffness": m, "spacing": spacing}
     if labels is not None:
@@ -275,7 +275,7 @@ def _spacing(dice: Dice, axes: int) -> tuple[float, ...]:
     return tuple(sides)
 
 
-def _noise(dice: Dice, shape: Shape, width: float) -> Array:
+def smooth_noise(dice: Dice, shape: Shape, width: float) -> Array:
     """Return smooth noise, evenly distributed from 0 to 1."""
     values = ndi.gaussian_filter(dice.normal(size=shape), width, mode="reflect")
     made = np.empty(values.size)
@@ -296,11 +296,11 @@ def _stiffness(dice: Dice, shape: Shape, decades: float) -> tuple[str, Array]:
     if kind == "uniform":
         share = np.zeros(shape)
     elif kind == "blobs":
-        share = 1.0 * (_noise(dice, shape, dice.uniform(0.6, 6)) > dice.uniform(0.15, 0.85))
+        share = 1.0 * (smooth_noise(dice, shape, dice.uniform(0.6, 6)) > dice.uniform(0.15, 0.85))
     elif kind == "white":
         share = dice.random(shape)
     elif kind == "smooth":
-        share = _noise(dice, shape, dice.uniform(2, 8))
+        share = smooth_noise(dice, shape, dice.uniform(2, 8))
     elif kind == "layers":
         along = [*places, places.sum(axis=0)][dice.integers(len(shape) + 1)]
         levels = dice.integers(2, 5)
@@ -311,7 +311,7 @@ def _stiffness(dice: Dice, shape: Shape, decades: float) -> tuple[str, Array]:
         size = dice.integers(1, 5)
         share = 1.0 * ((places // size).sum(axis=0) % 2)
     else:
-        share = np.round(_noise(dice, shape, dice.uniform(0.6, 4)) * 3) / 3
+        share = np.round(smooth_noise(dice, shape, dice.uniform(0.6, 4)) * 3) / 3
     if dice.random() < 0.3:
         share = 1 - share
     return kind, np.asarray(contrast**share)
@@ -347,7 +347,7 @@ def _void(dice: Dice, shape: Shape, shares: tuple[float, ...]) -> tuple[str, Fla
     kind = str(dice.choice(_VOIDS, p=shares))
     empty = np.zeros(shape, dtype=bool)
     if kind == "holes":
-        empty = _noise(dice, shape, dice.uniform(0.6, 4)) < dice.uniform(0.05, 0.4)
+        empty = smooth_noise(dice, shape, dice.uniform(0.6, 4)) < dice.uniform(0.05, 0.4)
     elif kind == "around":
         empty = _beyond_ellipse(shape, dice.uniform(0.18, 0.35))
     elif kind == "specks":
@@ -459,7 +459,7 @@ def _displacement(dice: Dice, shape: Shape, sites: Flags) -> tuple[str, Array]:
     elif kind == "random":
         y = dice.normal(size=(*shape, axes))
     elif kind == "bent":
-        waves = [_noise(dice, shape, max(shape) / 4) - 0.5 for _ in range(axes)]
+        waves = [smooth_noise(dice, shape, max(shape) / 4) - 0.5 for _ in range(axes)]
         y = np.stack(waves, axis=-1)
     else:
         pieces, count = ndi.label(sites)
@@ -497,7 +497,7 @@ def _prior(dice: Dice, shape: Shape, shares: tuple[float, ...]) -> tuple[Prior, 
     poisson = float(nu)
     if dice.random() < 0.25:
         other = dice.uniform(0, 0.499)
-        share = _noise(dice, shape, dice.uniform(0.6, 5))
+        share = smooth_noise(dice, shape, dice.uniform(0.6, 5))
         share = share if dice.random() < 0.5 else 1.0 * (share > 0.5)
         # Round as `ElasticPrior` does, because it stores a map in single precision.
         poisson = np.clip(nu + share * (other - nu), 0, 0.499).astype(np.float32)
@@ -678,9 +678,9 @@ def tissue_with_gaps(seed: int, axes: int = 2, sides: tuple[int, int] = (16, 50)
 def mild_tissue(dice: Dice) -> State:
     """Return a body of mild tissue with prescribed edges, as in typical use."""
     shape = tuple(dice.integers(16, 81, 2))
-    m = 10 ** (dice.uniform(0, 2) * (_noise(dice, shape, dice.uniform(1, 6)) > dice.random()))
+    m = 10 ** (dice.uniform(0, 2) * (smooth_noise(dice, shape, dice.uniform(1, 6)) > dice.random()))
     if dice.random() < 0.3:
-        m[_noise(dice, shape, dice.uniform(2, 6)) < dice.uniform(0.02, 0.2)] = 0
+        m[smooth_noise(dice, shape, dice.uniform(2, 6)) < dice.uniform(0.02, 0.2)] = 0
     y, c = np.zeros((2, *shape, 2))
     for edge in dice.permutation(4)[: dice.integers(1, 5)]:
         c.swapaxes(0, edge // 2)[-(edge % 2)] = 1

@@ -10,6 +10,7 @@ from napari_hmrf.errors import ArgumentError
 from napari_hmrf.landmarks import Landmarks
 from napari_hmrf.loads import growth, weight
 from napari_hmrf.posterior import fit
+from validation.bodies import between_plates
 from validation.oracles.elasticity import direct_solution
 
 SIZE = 40
@@ -21,10 +22,7 @@ NU = 0.3
 
 def stretched(stiffness, loads=None):
     """Return tissue that is held at its first row, and moved at its last row."""
-    held, moved = np.zeros((2, SIZE, SIZE, 2))
-    held[[0, -1]] = 1
-    moved[-1] = (3, 1)
-    return Problem(observed=moved, confidence=held, stiffness=stiffness, loads=loads)
+    return between_plates(stiffness, (3, 1), loads=loads)
 
 
 def stiffness_of(values):

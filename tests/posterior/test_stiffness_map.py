@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from napari_hmrf import ElasticPrior, Problem, ProblemError, solve
+from napari_hmrf import ElasticPrior, ProblemError, solve
 from napari_hmrf.loads import growth
 from napari_hmrf.posterior import stiffness_map
+from validation.bodies import between_plates
 from validation.oracles.elasticity import direct_solution
 
 SIZE = 32
@@ -14,12 +15,9 @@ ROWS, COLS = np.indices((SIZE, SIZE))
 INCLUSIONS = (np.hypot(ROWS - 10, COLS - 9) < 5) | (np.hypot(ROWS - 21, COLS - 22) < 4.5)
 
 
-def squeezed(stiffness, **more):
+def squeezed(stiffness, loads=None):
     """Return tissue that is squeezed between its first and its last row or plane."""
-    held = np.zeros((*stiffness.shape, stiffness.ndim))
-    moved = np.zeros_like(held)
-    held[[0, -1]], moved[-1, ..., 0] = 1, -2
-    return Problem(observed=moved, confidence=held, stiffness=stiffness, **more)
+    return between_plates(stiffness, (-2, 0, 0)[: stiffness.ndim], loads=loads)
 
 
 def noisy(displacement, share):

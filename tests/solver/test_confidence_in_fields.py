@@ -11,6 +11,7 @@ from napari_hmrf import Cancelled, ElasticPrior, Multigrid, Problem, solve
 from napari_hmrf.data import phantom
 from tests.support.cancel_flags import During
 from tests.support.opengl import require_opengl
+from validation.bodies import between_plates
 from validation.oracles.elasticity import direct_solution
 from validation.problems import tissue_with_gaps
 
@@ -19,10 +20,7 @@ PRIOR = ElasticPrior(0.3)
 
 def compressed_tissue(m):
     """Return tissue with a fixed first row and a last row pushed by 4 pixels."""
-    y, c = np.zeros((*m.shape, 2)), np.zeros((*m.shape, 2))
-    c[0] = c[-1] = 1
-    y[-1, :, 0] = 4
-    return Problem(observed=y, confidence=c, stiffness=m)
+    return between_plates(m, (4, 0))
 
 
 def two_phases(n, sigma, contrast, seed=0):

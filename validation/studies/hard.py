@@ -20,12 +20,13 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 import numpy.typing as npt
-from scipy import ndimage
 
 from benchmarks.clock import one_heap
 from napari_hmrf import ElasticPrior, Problem
 from napari_hmrf.data import phantom
+from validation.bodies import dice_of
 from validation.oracles.elasticity import exact_field, refined
+from validation.problems import smooth_noise
 from validation.studies.peers import Run, has_pyamg, run_ours, run_pyamg, run_superlu
 from validation.study import Options, Results, Table, study
 
@@ -79,14 +80,9 @@ def _pushed(stiff: Array, void: Array | None = None) -> Layout:
     )
 
 
-def _noise(n: int, sigma: float, seed: int) -> Array:
-    smooth = ndimage.gaussian_filter(np.random.default_rng(seed).normal(size=(n, n)), sigma)
-    return smooth > np.median(smooth)
-
-
 def noise(n: int, sigma: float, seed: int = 2008) -> Layout:
     """Return two phases of equal volume, by a threshold on smoothed noise."""
-    return _pushed(_noise(n, sigma, seed))
+    return _pushed(smooth_noise(dice_of(seed), (n, n), sigma) > 0.5)
 
 
 def ribs(n: int) -> Layout:
@@ -120,7 +116,7 @@ def holes(n: int, seed: int = 2008) -> Layout:
     row, col = np.indices((n, n)) - (n % 13) // 2
     void = (row % 13 - 6) ** 2 + (col % 13 - 6) ** 2 <= 20
     void[:2] = void[-2:] = False
-    return _pushed(_noise(n, 5.0, seed), void)
+    return _pushed(smooth_noise(dice_of(seed), (n, n), 5.0) > 0.5, void)
 
 
 def inclusion(n: int) -> Layout:

@@ -23,7 +23,7 @@ from napari_hmrf.solver import live_solver
 from napari_hmrf.solver.live_solver import Known
 from napari_hmrf.solver.optimizers import work
 from napari_hmrf.solver.optimizers.coarse_start import coarse_problem, prolonged
-from validation.bodies import bar, turned
+from validation.bodies import bar, framed, turned
 
 PRIOR = NeoHookeanPrior()
 
@@ -38,10 +38,7 @@ def dragged(size: int = 96) -> Problem:
     """Return a block with a disc that is dragged by a third of the side."""
     row, col = np.indices((size, size))
     disc = np.hypot(row - size // 2, col - 0.3 * size) < 0.06 * size
-    c, y = np.zeros((2, size, size, 2))
-    c[[0, -1]] = c[:, [0, -1]] = 1
-    c[disc], y[disc] = 1, (0, size / 3)
-    return Problem(observed=y, confidence=c, stiffness=np.ones((size, size)))
+    return framed(disc, (0, size / 3))
 
 
 def within(budget: float | None, initial: Solution | None = None) -> Solution:

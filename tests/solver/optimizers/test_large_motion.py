@@ -20,21 +20,10 @@ from napari_hmrf import (
     solve,
 )
 from napari_hmrf.loads import Loads
-from validation.bodies import bar, turned
+from validation.bodies import bar, dragged_disc, turned
 from validation.oracles.large_motion import large_field
 
 Field = npt.NDArray[np.float64]
-
-
-def dragged(size: int, radius: float, far: float) -> Problem:
-    """Return a disc that is moved to the right inside a fixed frame."""
-    row, col = np.indices((size, size)) - size // 2
-    inside = row**2 + (col + far / 2) ** 2 <= radius**2
-    c = np.ones((size, size, 2))
-    c[1:-1, 1:-1] = inside[1:-1, 1:-1, None]
-    y = np.zeros_like(c)
-    y[inside] = 0, far
-    return Problem(observed=y, confidence=c, stiffness=np.ones((size, size)))
 
 
 def jacobians_of(problem: Problem, solution: Solution) -> Field:
@@ -204,7 +193,7 @@ def test_tissue_rotates_without_strain(spacing) -> None:
 
 
 def test_a_patch_that_is_pulled_far_causes_no_folds() -> None:
-    problem = dragged(60, 4, 22)
+    problem = dragged_disc(60, 4, 22)
     linear = solve(problem, ElasticPrior(), backend="cpu")
     assert jacobians_of(problem, linear).min() < 0, "the linear solution does not fold"
     found = solve(problem, NeoHookeanPrior(), backend="cpu")
@@ -232,14 +221,14 @@ def test_an_unreachable_prescribed_motion_is_followed_as_far_as_possible() -> No
 
 
 def test_a_drag_starts_from_the_last_fields() -> None:
-    frames = [solve(dragged(48, 4, 6), NeoHookeanPrior(), backend="cpu")]
-    base = np.array(dragged(48, 4, 6).observed)
+    frames = [solve(dragged_disc(48, 4, 6), NeoHookeanPrior(), backend="cpu")]
+    base = np.array(dragged_disc(48, 4, 6).observed)
     moved = base[..., 1] > 0
     for far in (8, 10, 12):
         y = base.copy()
         y[moved, 1] = far
         problem = Problem(
-            observed=y, confidence=dragged(48, 4, 6).confidence, stiffness=np.ones((48, 48))
+            observed=y, confidence=dragged_disc(48, 4, 6).confidence, stiffness=np.ones((48, 48))
         )
         live, last = Multigrid(0.01), frames[:3]
         found = solve(problem, NeoHookeanPrior(), optimizer=live, backend="cpu", initial=last)
@@ -258,7 +247,7 @@ def test_a_solve_reports_progress_and_can_be_cancelled() -> None:
             stop.set()
 
     with pytest.raises(Cancelled):
-        solve(dragged(60, 4, 22), NeoHookeanPrior(), backend="cpu", progress=tell, cancel=stop)
+        solve(dragged_disc(60, 4, 22), NeoHookeanPrior(), backend="cpu", progress=tell, cancel=stop)
     assert any("px left to pull" in each.message for each in said)
     assert all(0 <= each.fraction <= 1 for each in said)
 

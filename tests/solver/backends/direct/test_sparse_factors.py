@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 import scipy
 
-from napari_hmrf import ElasticPrior, Problem, solve
+from napari_hmrf import ElasticPrior, solve
 from napari_hmrf.solver.backends.direct import sparse_factors
 from napari_hmrf.solver.backends.direct.sparse_factors import Links, SparseFactors
+from validation.bodies import between_plates
 
 
 def springs(*ranges):
@@ -85,11 +86,7 @@ def forces_of(elements, d, shape):
 
 def wall(shape):
     """Return a random volume with one end fixed and the other pulled."""
-    m = 10 ** np.random.default_rng(0).uniform(0, 3, shape)
-    y, c = np.zeros((2, *shape, 3))
-    c[0] = c[-1] = 1
-    y[-1, ..., 0] = 1
-    return Problem(observed=y, confidence=c, stiffness=m)
+    return between_plates(10 ** np.random.default_rng(0).uniform(0, 3, shape), (1, 0, 0))
 
 
 def test_only_the_factors_of_the_last_volume_are_kept(monkeypatch):

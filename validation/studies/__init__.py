@@ -1,1 +1,0 @@
-"""Accuracy studies: cases, comparisons with references, and tables, by physics."""
