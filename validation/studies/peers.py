@@ -50,6 +50,7 @@ from napari_hmrf import (
     solve,
 )
 from napari_hmrf.data import phantom
+from napari_hmrf.errors import HmrfError
 from napari_hmrf.extras import how_to_install
 from napari_hmrf.fields import rmsd
 from validation.bodies import between_plates, random_block
@@ -58,6 +59,7 @@ from validation.oracles.elasticity import (
     System,
     assemble,
     direct_solution,
+    exact_field,
     factorise,
     rigid_motions,
 )
@@ -309,12 +311,15 @@ def rigid_body_modes(system: System) -> Field:
 
 
 def converged_field(problem: Problem, prior: ElasticPrior) -> Field:
-    """Return the converged field, (H, W, 2), by PyAMG to rounding if it is installed."""
-    near = solve(problem, prior, optimizer=Multigrid(WITHIN / 1000), backend="cpu").displacement
+    """Return the converged field, (H, W, 2), directly or, of a large image, by PyAMG."""
+    if max(problem.shape) <= _LARGEST_DIRECT:
+        return exact_field(problem, prior)
     if not has_pyamg():
-        return near.astype(np.float64)
+        needs = f"images of more than {_LARGEST_DIRECT} pixels a side need PyAMG"
+        raise HmrfError(f"{needs}: {how_to_install('peers')}")
     import pyamg
 
+    near = solve(problem, prior, optimizer=Multigrid(WITHIN / 1000), backend="cpu").displacement
     system = assemble(problem, prior)
     hierarchy = pyamg.smoothed_aggregation_solver(
         system.matrix, B=rigid_body_modes(system), symmetry="symmetric", improve_candidates=None

@@ -122,7 +122,7 @@ def coverage(seed: int) -> dict[str, list[float]]:
     rng = np.random.default_rng(seed)
     grid = tuple(int(size) for size in rng.integers(8, 15, 2))
     spacing = (1.0, float(rng.choice([1.0, 2.0])))
-    m = 10 ** rng.uniform(0, 2) ** rng.random(grid)
+    m = (10 ** rng.uniform(0, 2)) ** rng.random(grid)
     c = np.zeros((*grid, 2))
     c[0] = 1
     bare = Problem(observed=np.zeros_like(c), confidence=c, stiffness=m, spacing=spacing)
