@@ -155,74 +155,11 @@ def test_a_bar_pulled_at_its_end_has_a_uniform_strain(axes, by, tmp_path):
     np.testing.assert_allclose(pulls[..., 0, :].sum(axis=tuple(range(axes - 1)))[-1], -1.5 * area)
 
 
-def annulus_error(size, plane):
-    """Return the relative error for Lame's annulus under inner pressure, cut along pixels."""
-    young, nu, presses, inner = 3.0, 0.3, 0.2, 0.3
-    step = 1.4 / size
-    at = (np.moveaxis(np.indices((size + 1,) * 2), 0, -1) - size / 2) * step
-    square = np.maximum((at**2).sum(axis=-1), 0.01)
-    even = presses * inner**2 / (1 - inner**2)
-    uneven = even / square
-    bulk = (1 - nu) if plane == "stress" else (1 + nu) * (1 - 2 * nu)
-    exact = at * ((bulk * even + (1 + nu) * uneven) / young)[..., None]
-    out = at / np.sqrt(square)[..., None]
-    stress = even * np.eye(2) + uneven[..., None, None] * (
-        np.eye(2) - 2 * out[..., :, None] * out[..., None, :]
-    )
-    m = np.where((np.abs(at) < 0.35 - step / 2).all(axis=-1), 0, young)
-    loads, low, high = Loads(), size // 4, 3 * size // 4
-    for axis, (edge, outward) in itertools.product(
-        (0, 1), ((0, -1), (size, 1), (low, 1), (high, -1))
-    ):
-        face = np.zeros(m.shape, bool)
-        whole = edge in (0, size)
-        np.moveaxis(face, axis, 0)[edge, slice(None) if whole else slice(low, high + 1)] = True
-        loads += traction(m, face, outward * stress[..., axis], spacing=(step, step))
-    c = np.zeros_like(exact)
-    c[size // 2, :, 0] = c[:, size // 2, 1] = 1
-    problem = Problem(observed=0 * c, confidence=c, stiffness=m, spacing=(step, step), loads=loads)
-    apart = found(problem, ElasticPrior(nu, plane=plane)).displacement - exact
-    return np.linalg.norm(apart[m > 0]) / np.linalg.norm(exact[m > 0])
-
-
 @pytest.mark.parametrize("plane", ["stress", pytest.param("strain", marks=pytest.mark.campaign)])
 def test_the_field_of_an_annulus_under_pressure_converges_with_second_order(plane):
-    coarse, fine = annulus_error(16, plane), annulus_error(64, plane)
+    coarse, fine = (studies.annulus(size, plane) for size in (16, 64))
     assert fine < 2e-3
     assert np.log(coarse / fine) / np.log(4) == pytest.approx(2, abs=0.1)
-
-
-def disc_share(size, radius, axes, parts=6):
-    """Return the fraction of each pixel inside a disc or ball around the middle."""
-    fine = (np.arange((size + 1) * parts) + 0.5) / parts - 0.5 - size / 2
-    squares = sum(np.ix_(*[(fine * 2 / size) ** 2] * axes))
-    share = (squares < radius**2).astype(float)
-    for axis in range(axes):
-        share = share.reshape(*share.shape[:axis], size + 1, parts, *share.shape[axis + 1 :])
-        share = share.mean(axis=axis + 1)
-    return share
-
-
-def inclusion_error(size, axes, plane, radius=0.4, strain=0.1, nu=0.3):
-    """Return the relative error for Eshelby's disc or ball, except near its surface."""
-    step = 2 / size
-    at = (np.moveaxis(np.indices((size + 1,) * axes), 0, -1) - size / 2) * step
-    r = np.linalg.norm(at, axis=-1)
-    share = (1 + nu) / 2 if plane == "stress" else (1 + nu) / (axes * (1 - nu))
-    exact = at * (share * strain * (radius / np.maximum(r, radius)) ** axes)[..., None]
-    loads = growth(strain * disc_share(size, radius, axes))
-    c = np.repeat((r > 0.9)[..., None], axes, axis=-1)
-    problem = Problem(
-        observed=exact,
-        confidence=c,
-        stiffness=np.ones(r.shape),
-        spacing=(step,) * axes,
-        loads=loads,
-    )
-    prior = ElasticPrior(nu, plane=plane)
-    apart = found(problem, prior, Multigrid(1e-4)).displacement - exact
-    some = (r < 0.9) & (np.abs(r - radius) > 0.1)
-    return np.linalg.norm(apart[some]) / np.linalg.norm(exact[some])
 
 
 @pytest.mark.parametrize(
@@ -230,13 +167,13 @@ def inclusion_error(size, axes, plane, radius=0.4, strain=0.1, nu=0.3):
     [("strain", (24, 96)), pytest.param("stress", (24, 96), marks=pytest.mark.campaign)],
 )
 def test_a_growing_disc_and_its_surroundings_match_eshelby(plane, sizes):
-    coarse, fine = (inclusion_error(size, 2, plane) for size in sizes)
+    coarse, fine = (studies.disc(size, plane) for size in sizes)
     assert fine < 2e-3
     assert np.log(coarse / fine) / np.log(sizes[1] / sizes[0]) > 1.7
 
 
 def test_a_growing_ball_and_its_surroundings_match_eshelby():
-    coarse, fine = (inclusion_error(size, 3, "strain") for size in (12, 24))
+    coarse, fine = (studies.disc(size, axes=3) for size in (12, 24))
     assert fine < 0.02
     assert coarse / fine > 3
 

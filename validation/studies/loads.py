@@ -206,20 +206,24 @@ def _error(
     return _apart(problem, exact, plane, inside)
 
 
-def disc(size: int, plane: Plane, radius: float = 0.4, strain: float = 0.1) -> float:
-    """Return the error of a growing disc with the exact displacement prescribed around it."""
+def disc(
+    size: int, plane: Plane = "strain", axes: int = 2, radius: float = 0.4, strain: float = 0.1
+) -> float:
+    """Return the error of a growing disc or ball with the exact displacement around it."""
     step, parts = 2 / size, 8
-    at = (np.moveaxis(np.indices((size + 1,) * 2), 0, -1) - size / 2) * step
+    at = (np.moveaxis(np.indices((size + 1,) * axes), 0, -1) - size / 2) * step
     fine = (np.arange((size + 1) * parts) + 0.5) / parts - 0.5 - size / 2
-    share = np.add.outer((fine * step) ** 2, (fine * step) ** 2) < radius**2
-    share = share.reshape(size + 1, parts, size + 1, parts).mean(axis=(1, 3))
+    inside = sum(np.ix_(*[(fine * step) ** 2] * axes)) < radius**2
+    share = inside.reshape((size + 1, parts) * axes).mean(axis=tuple(range(1, 2 * axes, 2)))
     r = np.linalg.norm(at, axis=-1)
-    rate = (1 + POISSON) / 2 / (1 if plane == "stress" else 1 - POISSON)
-    exact = at * (rate * strain * (radius / np.maximum(r, radius)) ** 2)[..., None]
-    c = np.repeat((r > 0.9)[..., None], 2, axis=-1)
-    loads = growth(strain * share)
+    rate = (1 + POISSON) / 2 if plane == "stress" else (1 + POISSON) / (1 - POISSON) / axes
+    exact = at * (rate * strain * (radius / np.maximum(r, radius)) ** axes)[..., None]
     problem = Problem(
-        observed=exact, confidence=c, stiffness=np.ones(r.shape), spacing=(step, step), loads=loads
+        observed=exact,
+        confidence=np.repeat((r > 0.9)[..., None], axes, axis=-1),
+        stiffness=np.ones(r.shape),
+        spacing=(step,) * axes,
+        loads=growth(strain * share),
     )
     return _apart(problem, exact, plane, (r < 0.9) & (np.abs(r - radius) > 0.1))
 
