@@ -111,6 +111,21 @@ def pulled_problem(
     return Problem(observed=y, confidence=c, stiffness=m)
 
 
+def uncertain_problem(seed: int = 0, spacing: tuple[float, ...] = (1.0, 1.0)) -> Problem:
+    """Return soft and stiff tissue with observations of random confidence."""
+    dice = dice_of(seed)
+    shape = (15, 18)
+    m = np.where(dice.random(shape) < 0.5, 1.0, 10.0)
+    m[7:9, 5:8] = 0
+    c = np.zeros((*shape, 2))
+    c[0] = dice.uniform(0.05, 1, (18, 2))
+    c[-1, ::2] = dice.uniform(0.05, 1, (9, 2))
+    c[4:6, 10:14, 1] = 0.5
+    return Problem(
+        observed=dice.normal(size=(*shape, 2)), confidence=c, stiffness=m, spacing=spacing
+    )
+
+
 def framed(
     inside: Flags, y: npt.ArrayLike, loads: Loads | None = None, stiffness: npt.ArrayLike = 1.0
 ) -> Problem:
@@ -168,6 +183,12 @@ def growing_ball(size: int, factor: float) -> Problem:
 def dice_of(*seeds: int) -> Dice:
     """Return the generator of a problem of a campaign, from its seed and its number."""
     return np.random.default_rng(seeds)
+
+
+def noisy(field: Array, share: float, dice: Dice) -> tuple[Array, float]:
+    """Return a field with noise of a share of its root mean square, and the size of the noise."""
+    sd = share * float(np.sqrt((field**2).mean()))
+    return field + dice.normal(0, sd, field.shape), sd
 
 
 def offsets(shape: Shape, place: Any) -> Array:

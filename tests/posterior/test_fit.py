@@ -10,7 +10,7 @@ from napari_hmrf.errors import ArgumentError
 from napari_hmrf.landmarks import Landmarks
 from napari_hmrf.loads import growth, weight
 from napari_hmrf.posterior import fit
-from validation.bodies import between_plates
+from validation.bodies import between_plates, dice_of, noisy
 from validation.oracles.elasticity import direct_solution
 
 SIZE = 40
@@ -29,15 +29,14 @@ def stiffness_of(values):
     return np.select([label == LABELS for label in values], list(values.values()))
 
 
-def noisy(displacement, share=0.05, seed=0):
-    """Return a displacement with noise of a share of its size, and the size of the noise."""
-    sd = share * np.sqrt((displacement**2).mean())
-    return displacement + np.random.default_rng(seed).normal(0, sd, displacement.shape), sd
+def measured(displacement):
+    """Return a displacement with noise of a twentieth of its size, and the size of the noise."""
+    return noisy(displacement, 0.05, dice_of(0))
 
 
 UNIFORM = stretched(np.ones((SIZE, SIZE)))
 #: Motion by another program, with elements by scikit-fem.
-SEEN, SD = noisy(direct_solution(stretched(stiffness_of(TRUE)), ElasticPrior(NU)))
+SEEN, SD = measured(direct_solution(stretched(stiffness_of(TRUE)), ElasticPrior(NU)))
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +66,7 @@ def test_a_stiffness_is_as_certain_as_its_effect_on_the_motion_exceeds_the_noise
 
 
 def test_a_homogeneous_sample_shows_no_inclusion():
-    seen, sd = noisy(direct_solution(UNIFORM, ElasticPrior(NU)))
+    seen, sd = measured(direct_solution(UNIFORM, ElasticPrior(NU)))
     found = fit(UNIFORM, LABELS, measured=seen, sd=sd, stiffness=[2, 3, 4], prior=ElasticPrior(NU))
     for value in found.stiffness.values():
         assert value.interval[0] < 1 < value.interval[1]
@@ -76,7 +75,7 @@ def test_a_homogeneous_sample_shows_no_inclusion():
 
 def test_growth_and_poissons_ratio_are_found_together():
     true = stretched(stiffness_of(TRUE), growth(0.2 * (LABELS == 2)))
-    seen, sd = noisy(solve(true, ElasticPrior(0.4)).displacement)
+    seen, sd = measured(solve(true, ElasticPrior(0.4)).displacement)
     guess = stretched(stiffness_of(TRUE))
     found = fit(guess, LABELS, measured=seen, sd=sd, growth=[2, 3], poisson=[1, 2, 3, 4])
     assert found.growth[2].value == pytest.approx(0.2, rel=0.05)
@@ -90,7 +89,7 @@ def test_the_size_of_the_weight_makes_the_stiffness_absolute():
     held[-1] = 1
     m = np.full((SIZE, SIZE), 2.0)
     loads = weight(m, (0.02, 0), spacing=1)
-    seen, sd = noisy(
+    seen, sd = measured(
         solve(Problem(observed=0 * held, confidence=held, stiffness=m, loads=loads)).displacement
     )
     guess = Problem(observed=0 * held, confidence=held, stiffness=np.ones_like(m), loads=loads)

@@ -7,7 +7,7 @@ from scipy import ndimage
 from napari_hmrf import ElasticPrior, ProblemError, solve
 from napari_hmrf.loads import growth
 from napari_hmrf.posterior import stiffness_map
-from validation.bodies import between_plates
+from validation.bodies import between_plates, dice_of, noisy
 from validation.oracles.elasticity import direct_solution
 
 SIZE = 32
@@ -20,18 +20,13 @@ def squeezed(stiffness, loads=None):
     return between_plates(stiffness, (-2, 0, 0)[: stiffness.ndim], loads=loads)
 
 
-def noisy(displacement, share):
-    sd = share * np.sqrt((displacement**2).mean())
-    return displacement + np.random.default_rng(0).normal(0, sd, displacement.shape), sd
-
-
 def rim(mask):
     return mask & ~ndimage.binary_erosion(mask)
 
 
 def test_two_inclusions_are_found_with_their_contrast_and_outline():
     true = squeezed(np.where(INCLUSIONS, 3.0, 1.0))
-    seen, sd = noisy(direct_solution(true, ElasticPrior(0.3)), 0.02)
+    seen, sd = noisy(direct_solution(true, ElasticPrior(0.3)), 0.02, dice_of(0))
     found = stiffness_map(squeezed(np.ones((SIZE, SIZE))), seen, sd=sd, prior=ElasticPrior(0.3))
     assert found.misfit == pytest.approx(1, abs=0.05)
     ratios = found.stiffness / np.median(found.stiffness[~INCLUSIONS])
@@ -44,7 +39,7 @@ def test_two_inclusions_are_found_with_their_contrast_and_outline():
 
 def test_the_map_of_a_homogeneous_sample_is_uniform():
     uniform = squeezed(np.full((SIZE, SIZE), 5.0))
-    seen, sd = noisy(direct_solution(uniform, ElasticPrior(0.3)), 0.05)
+    seen, sd = noisy(direct_solution(uniform, ElasticPrior(0.3)), 0.05, dice_of(0))
     found = stiffness_map(uniform, seen, sd=sd, prior=ElasticPrior(0.3))
     assert np.ptp(np.log(found.stiffness)) < 0.05
     assert np.median(found.stiffness) == pytest.approx(5, rel=0.05)
@@ -55,7 +50,7 @@ def test_an_inclusion_in_a_volume_is_found_beside_void():
     away = np.linalg.norm(np.indices(shape).T - (2, 2, 2), axis=-1).T
     m = np.where(away < 1.8, 4.0, 1.0)
     m[:, 4:, 4:] = 0
-    seen, sd = noisy(solve(squeezed(m)).displacement, 0.01)
+    seen, sd = noisy(solve(squeezed(m)).displacement, 0.01, dice_of(0))
     found = stiffness_map(squeezed((m > 0).astype(float)), seen, sd=sd)
     assert not found.stiffness[m == 0].any()
     inside = np.median(found.stiffness[away < 1.5])

@@ -5,23 +5,9 @@ import pytest
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, ProblemError, SeilerPrior, solve
 from napari_hmrf.data import phantom
+from validation.bodies import uncertain_problem
 from validation.oracles.elasticity import direct_solution, stiffness_matrix
 from validation.oracles.exact import exact_field
-
-
-def uncertain_problem(seed=0, spacing=(1.0, 1.0)):
-    """Return soft and stiff tissue with observations of random confidence."""
-    rng = np.random.default_rng(seed)
-    shape = (15, 18)
-    m = np.where(rng.random(shape) < 0.5, 1.0, 10.0)
-    m[7:9, 5:8] = 0
-    c = np.zeros((*shape, 2))
-    c[0] = rng.uniform(0.05, 1, (18, 2))
-    c[-1, ::2] = rng.uniform(0.05, 1, (9, 2))
-    c[4:6, 10:14, 1] = 0.5
-    return Problem(
-        observed=rng.normal(size=(*shape, 2)), confidence=c, stiffness=m, spacing=spacing
-    )
 
 
 @pytest.mark.parametrize(

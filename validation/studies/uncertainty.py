@@ -31,7 +31,7 @@ from napari_hmrf.posterior.noise import PosteriorNoise
 from napari_hmrf.posterior.response import Response
 from napari_hmrf.posterior.sampling import Sampler, checked_prior, energy_of
 from napari_hmrf.posterior.scale_fit import Likelihood
-from validation.bodies import between_plates
+from validation.bodies import between_plates, noisy
 from validation.oracles.elasticity import direct_solution, stiffness_matrix
 from validation.oracles.posterior import interpolation, posterior_covariance
 from validation.problems import small_tissue_with_data
@@ -430,8 +430,7 @@ def fits(seed: int) -> dict[str, list[tuple[float, bool]]]:
             field = solve(grown, prior, backend="cpu").displacement
         else:
             field = direct_solution(between_plates(true[labels], ends), _TRUTH)
-        sd = 0.05 * float(np.sqrt((field**2).mean()))
-        seen = field + rng.normal(0, sd, field.shape)
+        seen, sd = noisy(field, 0.05, rng)
         grows = kind == "growth"
         guess = between_plates(true[labels] if grows else np.ones(grid), ends)
         found = fit(
@@ -466,8 +465,7 @@ def maps(seed: int) -> list[Any]:
         middle = rng.uniform(-3, 3, 2) + np.array((row, col))
         inside |= np.hypot(rows - middle[0], cols - middle[1]) < rng.uniform(7, 10)
     field = direct_solution(between_plates(np.where(inside, 3.0, 1.0), ends), _TRUTH)
-    sd = 0.05 * float(np.sqrt((field**2).mean()))
-    seen = field + rng.normal(0, sd, field.shape)
+    seen, sd = noisy(field, 0.05, rng)
     guess = between_plates(np.ones((size, size)), ends)
     found = stiffness_map(guess, seen, sd=sd, prior=prior, backend="cpu")
     ratios = found.stiffness / np.median(found.stiffness[~inside])

@@ -18,6 +18,7 @@ from napari_hmrf.data import phantom
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.cpu.seiler_model import CpuSeilerModel
 from tests.support.cancel_flags import During
+from validation.bodies import uncertain_problem
 from validation.oracles.exact import exact_field
 from validation.oracles.paper import solve_exactly
 
@@ -32,21 +33,6 @@ def random_problem(shape=(49, 62), spacing=(1.0, 1.0), ratio=5.0, seed=0):
     m[shape[0] // 2 : shape[0] // 2 + 4, shape[1] // 3 : shape[1] // 3 + 3] = 0
     c = np.zeros((*shape, 2))
     c[:2] = c[-2:] = c[:, :2] = c[:, -2:] = 1
-    return Problem(
-        observed=rng.normal(size=(*shape, 2)), confidence=c, stiffness=m, spacing=spacing
-    )
-
-
-def uncertain_problem(spacing=(1.0, 1.0), seed=1):
-    """Return soft and stiff tissue with observations of random confidence."""
-    rng = np.random.default_rng(seed)
-    shape = (11, 13)
-    m = np.where(rng.random(shape) < 0.5, 1.0, 4.0)
-    m[6, 4:6] = 0
-    c = np.zeros((*shape, 2))
-    c[0] = c[1] = rng.uniform(0.05, 1, (13, 2))
-    c[-2:, ::2] = rng.uniform(0.05, 1, (2, 7, 2))
-    c[3:6, 8:11, 1] = 0.5
     return Problem(
         observed=rng.normal(size=(*shape, 2)), confidence=c, stiffness=m, spacing=spacing
     )
@@ -151,7 +137,7 @@ def test_multigrid_matches_the_limit_of_many_icm_sweeps(reading):
     ],
 )
 def test_observations_slip_where_the_force_exceeds_their_confidence(reading, spacing, penalty):
-    problem = uncertain_problem(spacing)
+    problem = uncertain_problem(spacing=spacing)
     prior = SeilerPrior(penalty=penalty, conditional=reading)
     expected = exact_field(problem, prior).displacement * problem.unit
     found = solve(problem, prior, optimizer=Multigrid(1e-4)).displacement
