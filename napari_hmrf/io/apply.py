@@ -256,7 +256,7 @@ def apply_field(
     if n == 2 and image.ndim == 3 and image.place is not None:
         return Applied(write_image(target, _move_slice(field, image, name, order)), blended)
     if n == 3:
-        image = image.laid_as(field.in_patient)
+        image = image.laid_as(field.in_patient, field.file_axes)
     pixels = image.pixels
     sizes = pixels.shape[: image.ndim]
     if sizes[-n:] != field.shape:
@@ -282,7 +282,10 @@ def apply_field(
                 "moved in the same way"
             )
     notes = filter(None, (note, blended, unknown_values(pixels, image.ndim, name)))
-    return Applied(write_image(target, image._replace(pixels=moved)), "; ".join(notes))
+    image = image._replace(pixels=moved)
+    if n == 3 and image.place is None:
+        image = image.laid_as(None, tuple(np.argsort(field.file_axes).tolist()))
+    return Applied(write_image(target, image), "; ".join(notes))
 
 
 def _note_on_labels(pixels: Pixels, name: str) -> str:
@@ -390,10 +393,12 @@ def _move_landmarks(
 ) -> Applied:
     file, name, n = read_points(path), Path(path).name, len(field.shape)
     place, points = place_for(file, field.place, name, n), file.points
-    # Coordinates from the first voxel of a volume are along the axes of its file.
+    # Coordinates from the first voxel of a volume are along the axes of its file, except those of
+    # napari, which shows a volume along the axes of the field.
     from_first = file.unit != "mm" and points.shape[1] == 3
+    order = (0, 1, 2) if n == 3 and file.unit else field.file_axes
     if from_first:
-        points = points[:, field.file_axes]
+        points = points[:, order]
     at = place.to_pixels(points)
     if from_first and n == 2:
         at[:, 0] -= field.number
@@ -414,7 +419,7 @@ def _move_landmarks(
         at[:, 0] += field.number
     moved = place.to_space(at)
     if from_first:
-        moved = moved[:, np.argsort(field.file_axes)]
+        moved = moved[:, np.argsort(order)]
     written = write_points(target, moved, file.targets, names=file.names, sd=file.sd)
     return Applied(written, "; ".join(notes))
 

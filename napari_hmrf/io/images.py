@@ -128,11 +128,23 @@ class ImageFile(NamedTuple):
             order=() if order == (0, 1, 2) else order,
         )
 
-    def laid_as(self, place: Place | None) -> ImageFile:
+    def laid_as(self, place: Place | None, file_axes: tuple[int, ...] = (0, 1, 2)) -> ImageFile:
         """Return the image with its axes reordered and reversed to match another place.
 
-        The image itself is returned if no order and no directions of its axes match.
+        A volume without a place has the axes of the file that the other image comes from. The image
+        itself is returned if no order and no directions of its axes match.
+
+        Parameters
+        ----------
+        place : Place or None
+            Place of the other image.
+        file_axes : tuple of int
+            Axis of its file for each axis of the other image.
         """
+        if self.place is None and self.ndim == 3:
+            return self._replace(
+                pixels=self.pixels.transpose(*file_axes, *range(3, self.pixels.ndim))
+            )
         if self.place is None or len(self.place.spacing) != 3 or apart(self.place, place) <= SAME:
             return self
         axes = range(3)

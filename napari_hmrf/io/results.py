@@ -252,10 +252,10 @@ def image_of(path: Path, image: Path | None = None) -> tuple[Solution, npt.NDArr
 
 def _on_grid(path: Path, solution: Solution) -> ImageFile:
     """Read an image on the grid of a solution; the axes of a volume are reordered to match."""
-    is_unplaced = Frame.of_solution(solution).unit == "pixel"
-    image, place = read_image(path), None if is_unplaced else place_of(solution)
+    frame = Frame.of_solution(solution)
+    image, place = read_image(path), None if frame.unit == "pixel" else place_of(solution)
     if solution.tissue.ndim == 3:
-        image = image.laid_as(place)
+        image = image.laid_as(place, frame.file_axes or (0, 1, 2))
     elif 1 in image.pixels.shape[: image.ndim]:  # a volume of one slice
         image = image.laid_out
     sizes, shape = image.pixels.shape[: image.ndim], solution.tissue.shape

@@ -267,3 +267,30 @@ def test_a_study_is_exported_replayed_and_read_again_in_the_shell(solved, tmp_pa
 def test_fields_without_a_unit_are_written_in_pixels(tmp_path):
     write_field(tmp_path / "a.mha", np.ones((6, 7, 2)), spacing=(1, 1), forward=True)
     assert sitk.ReadImage(str(tmp_path / "a.mha")).GetSpacing() == (1.0, 1.0)
+
+
+def test_files_without_a_place_have_the_axes_of_the_scan_and_napari_those_that_it_shows(tmp_path):
+    def write(name, pixels):
+        image = sitk.GetImageFromArray(pixels)
+        image.SetDirection((0, 1, 0, 0, 0, 1, 1, 0, 0))  # i to S, j to L, k to P
+        sitk.WriteImage(image, str(tmp_path / name))
+
+    head = np.random.default_rng(0).random((7, 8, 9)).astype(np.float32)
+    pulled = np.zeros(head.shape, np.uint8)
+    pulled[3:5, 3:5, 4:6] = 1
+    write("scan.mha", head)
+    write("paint.mha", pulled)
+    write_image(tmp_path / "scan.tif", ImageFile(head))
+    (tmp_path / "rules.csv").write_text("label,action,plane,row,col\n1,move,1,0.5,0\n")
+    write_points(tmp_path / "nose.csv", np.array([[4.0, 3.0, 3.0]]))  # in pixels, as by napari
+    files = [str(tmp_path / name) for name in ("scan.mha", "paint.mha", "rules.csv", "o")]
+    scan, paint, rules, out = files
+    solve = ["solve", scan, "--boundary", paint, "--rules", rules, "--hold-edge", "-o", out]
+    assert main(solve) == 0
+    study = str(tmp_path / "o" / "scan.study")
+    moving = [str(tmp_path / name) for name in ("scan.mha", "scan.tif", "nose.csv")]
+    assert main(["apply", study, *moving, "-o", str(tmp_path / "moved")]) == 0
+    shown, as_in_file, nose = (tmp_path / "moved" / name.rsplit("/", 1)[-1] for name in moving)
+    upright = read_image(as_in_file).pixels.transpose(2, 0, 1)
+    np.testing.assert_array_equal(read_image(shown).pixels, upright)
+    np.testing.assert_allclose(read_points(nose).points, [[5.0, 3.5, 3.0]], atol=1e-3)
