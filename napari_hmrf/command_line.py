@@ -437,10 +437,10 @@ def _add_solve(commands: Commands) -> None:
         "--weight",
         type=energy_option("weight"),
         metavar="[PLANE/]ROW/COL",
-        help="body force on elastic tissue along each axis (of a scan: head to foot, front to "
-        "back, left to right, in the directions of the file), in units of stiffness per length, "
-        "such as 0.00981/0 for water in kPa and mm; if the first number is negative, use an equals "
-        "sign: --weight=-0.01/0",
+        help="body force on elastic tissue along each axis (of a whole scan: head to foot, front "
+        "to back, left to right, in the directions of the file; of a slice: its rows and columns "
+        "in the file), in units of stiffness per length, such as 0.00981/0 for water in kPa and "
+        "mm; if the first number is negative, use an equals sign: --weight=-0.01/0",
     )
     solve.add_argument(
         "--cavity",
