@@ -390,7 +390,9 @@ def _replay(options: argparse.Namespace) -> int:
             "live, or was solved while loops were still being compiled)"
         )
     else:
-        result = f"the fields differ by at most {difference:.3g} px"
+        result = (
+            f"the fields differ by at most {difference:.3g} px, but {allowed:.2g} px is allowed"
+        )
     backend = before.provenance.backend
     origin = "a sum of solutions" if backend == SUM else f"solved on {backend}"
     print(f"{result}; the saved field was {origin}")
