@@ -104,11 +104,7 @@ def pulled_problem(
     """Return a body with a fixed border, a stiff inclusion and a pulled patch."""
     m = np.full((size, size), 10.0)
     m[size // 4 : size // 2, size // 2 : -3] = stiff
-    y, c = np.zeros((2, size, size, 2))
-    c[[0, -1]] = c[:, [0, -1]] = 1
-    patch = np.hypot(*offsets((size, size), at)) <= radius
-    y[patch], c[patch] = vector, 1
-    return Problem(observed=y, confidence=c, stiffness=m)
+    return framed(np.hypot(*offsets((size, size), at)) <= radius, vector, stiffness=m)
 
 
 def uncertain_problem(seed: int = 0, spacing: tuple[float, ...] = (1.0, 1.0)) -> Problem:

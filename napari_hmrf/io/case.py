@@ -31,6 +31,7 @@ from napari_hmrf.io.tables import read_rules
 from napari_hmrf.solver.drift import drift_clauses
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.problem import grid_in_words, whole_numbers
+from napari_hmrf.solver.real_arrays import check_int32
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import Progress
 from napari_hmrf.solver.volume_memory import STUDY, WARP, make_room, require_memory
@@ -358,11 +359,7 @@ def labels_of(image: ImageFile, path: Path) -> npt.NDArray[Any]:
 
 def as_labels(pixels: npt.NDArray[Any], path: Path) -> npt.NDArray[Any]:
     """Return pixels as labels; whole numbers that are stored as floats are converted."""
-    largest = pixels.max(initial=0)
-    if largest > np.iinfo(np.int32).max:
-        raise ProblemError(
-            path.name, f"contains the label {largest:.0f}. Use labels below 2147483648."
-        )
+    check_int32(path.name, pixels)
     pixels = pixels.astype(np.int32) if pixels.dtype.kind == "b" else pixels
     pixels = whole_numbers(path.name, pixels)
     if pixels.dtype.kind not in "iu":

@@ -20,6 +20,10 @@ from napari_hmrf.study.study import Grid
 
 #: Transform from right, anterior, superior (nibabel's convention) to left, posterior, superior.
 _TO_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
+_NO_PLACE = (
+    "its header states no place (the codes of its qform and sform are 0), and ITK does not centre "
+    "such an image as nibabel does. Set the place: image.set_sform(image.affine, code=1)"
+)
 #: Length of each unit of nibabel, in mm; an unknown unit is assumed to be mm, as in files.
 _MILLIMETRES = {"unknown": 1.0, "mm": 1.0, "meter": 1e3, "micron": 1e-3}
 
@@ -136,13 +140,9 @@ def _of_nibabel(image: Any) -> tuple[tuple[int, ...], Place]:
     header = image.header
     if hasattr(header, "get_qform") and hasattr(header, "get_sform"):  # NIfTI
         codes = int(header["qform_code"]), int(header["sform_code"])
-        fault = fault_of_places(header.get_qform(), header.get_sform(), codes, shape)
-        if codes == (0, 0):
-            fault = (
-                "its header states no place (the codes of its qform and sform are 0), and ITK does "
-                "not centre such an image as nibabel does. Set the place: "
-                "image.set_sform(image.affine, code=1)"
-            )
+        fault = _NO_PLACE
+        if any(codes):
+            fault = fault_of_places(header.get_qform(), header.get_sform(), codes, shape)
         if fault:
             raise ProblemError("image", f"is ambiguous: {fault}.")
     steps: npt.NDArray[np.float64] = _TO_LPS @ affine

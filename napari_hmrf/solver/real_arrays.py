@@ -70,7 +70,7 @@ def whole_numbers(field: str, labels: Any) -> npt.NDArray[Any]:
     return array.astype(np.int32)
 
 
-def as_labels(field: str, labels: Any) -> npt.NDArray[np.int32]:
+def as_int32(field: str, labels: Any) -> npt.NDArray[np.int32]:
     """Return labels as integers of 32 bits.
 
     Raises
@@ -79,16 +79,20 @@ def as_labels(field: str, labels: Any) -> npt.NDArray[np.int32]:
         If a label is not a whole number, or needs more than 32 bits; the message names `field`.
     """
     array = whole_numbers(field, labels)
-    limits = np.iinfo(np.int32)
-    beyond = (array < limits.min) | (array > limits.max)
-    if beyond.any():
-        first = first_index(beyond)
-        raise ProblemError(
-            field,
-            f"have the value {array[first]} at {first}, beyond 32 bits. Pass smaller numbers, such "
-            "as `np.unique(labels, return_inverse=True)[1]`.",
-        )
+    check_int32(field, array)
     return array.astype(np.int32)
+
+
+def check_int32(field: str, labels: npt.NDArray[Any]) -> None:
+    """Raise an error for a label that needs more than 32 bits."""
+    limits = np.iinfo(np.int32)
+    for label in (labels.max(initial=0), labels.min(initial=0)):
+        if label > limits.max or label < limits.min:
+            raise ProblemError(
+                field,
+                f"contains the label {label:.0f}, beyond 32 bits. Use labels below "
+                f"{limits.max + 1}.",
+            )
 
 
 def as_mask(field: str, value: Any) -> npt.NDArray[np.bool_]:

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from napari_hmrf.arguments import real, refuse_unless
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.real_arrays import as_labels
+from napari_hmrf.solver.real_arrays import as_int32
 
 #: Stiffness of the connection along the normal, relative to the softer of the two tissues.
 STRENGTH = 100.0
@@ -49,7 +49,7 @@ class SlidingParts:
     strength: float
 
     def __init__(self, labels: npt.ArrayLike, *, strength: float = STRENGTH) -> None:
-        given = as_labels("sliding", labels)
+        given = as_int32("sliding", labels)
         if given.ndim not in (2, 3):
             raise ProblemError(
                 "sliding",

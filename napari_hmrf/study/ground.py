@@ -24,7 +24,7 @@ from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import Elastic, ElasticPrior, Prior
 from napari_hmrf.solver.problem import FloatArray, Problem, as_stiffness, check_reach
-from napari_hmrf.solver.real_arrays import as_labels, first_index, how_many
+from napari_hmrf.solver.real_arrays import as_int32, first_index, how_many
 from napari_hmrf.solver.sliding_parts import SlidingParts
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, solve
@@ -600,7 +600,7 @@ def _tissue_of(study: Study) -> Ground:
             )
             for row in new
         ]
-        labels, rows = as_labels(study.named("tissue", "image"), tissue.labels), (*known, *new)
+        labels, rows = as_int32(study.named("tissue", "image"), tissue.labels), (*known, *new)
         m = stiffness_image(tissue.labels, rows)
         if tissue.without_border and image is not None:
             air = dark_border(image, len(shape)) & (tissue.labels == 0)

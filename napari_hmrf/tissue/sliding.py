@@ -22,7 +22,7 @@ from napari_hmrf.notes import Note
 from napari_hmrf.solver.neighbours import sites_of_elements
 from napari_hmrf.solver.precision import MAX_PRECISION
 from napari_hmrf.solver.problem import as_stiffness, checked_spacing
-from napari_hmrf.solver.real_arrays import as_float32, as_labels
+from napari_hmrf.solver.real_arrays import as_float32, as_int32
 from napari_hmrf.tissue.normals import outer_rim, parts_of
 
 Float64Array = npt.NDArray[np.float64]
@@ -113,7 +113,7 @@ def sliding_surface(
         If an input is invalid; the message names the input and a remedy.
     """
     tissue = as_stiffness(stiffness) > 0
-    paint = as_labels("painted", painted)
+    paint = as_int32("painted", painted)
     if paint.shape != tissue.shape:
         raise ProblemError(
             "painted",

@@ -32,12 +32,12 @@ _LEAST_DOUBLE = 1e-12
 _ATTAINED = 3e-7
 # Smallest ratio of the error after a step to the error before it that an estimate assumes.
 _FASTEST = 0.2
-# Largest value of the smallest eigenvalue that an estimate assumes before `_RELIABLE_STEPS`.
-_USUAL_LEAST = 0.3
+#: Largest value of the smallest eigenvalue that an estimate assumes before `RELIABLE_STEPS`.
+USUAL_LEAST = 0.3
 # Multiple of the expected smallest eigenvalue up to which an eigenvalue counts as expected.
 _MET = 1.2
-# Number of steps after which the estimate of the smallest eigenvalue is reliable.
-_RELIABLE_STEPS = 6
+#: Number of steps after which the estimate of the smallest eigenvalue is reliable.
+RELIABLE_STEPS = 6
 
 
 @dataclass(frozen=True)
@@ -254,10 +254,10 @@ class ConjugateGradients:
         fall = max(math.sqrt(after / before), _FASTEST, lasting)
         if self._spectrum.run_least > _MET * self._expected:
             fall = max(fall, 1 - self._expected)  # reduction of a slow motion before it is found
-        if self._spectrum.steps < _RELIABLE_STEPS:
-            least = min(least, _USUAL_LEAST)
+        if self._spectrum.steps < RELIABLE_STEPS:
+            least = min(least, USUAL_LEAST)
         self._step_count += 1
-        if self._step_count < _RELIABLE_STEPS:
+        if self._step_count < RELIABLE_STEPS:
             fall = max(fall, 1 - least)  # reduction of slow motions in early cycles
         left = far * fall / rest
         return Step(left / least, rest, gain, left / min(least, self.unseen))

@@ -30,7 +30,12 @@ from napari_hmrf.solver.neighbours import around_sites
 from napari_hmrf.solver.optimizers.base import Monitor, Report, part_done
 from napari_hmrf.solver.optimizers.cycle import Cycle, Smoothing
 from napari_hmrf.solver.optimizers.dead_loads import DeadLoads
-from napari_hmrf.solver.optimizers.krylov import ConjugateGradients, Step
+from napari_hmrf.solver.optimizers.krylov import (
+    RELIABLE_STEPS,
+    USUAL_LEAST,
+    ConjugateGradients,
+    Step,
+)
 from napari_hmrf.solver.optimizers.obstruction import folding
 from napari_hmrf.solver.optimizers.self_check import BELIEVABLE, Rehearsal
 from napari_hmrf.solver.optimizers.work import Work
@@ -81,10 +86,6 @@ _CYCLE_LIMIT = 40
 _SMALL_GRID = 20_000
 #: Number of cycles after which a larger system is factorized.
 _LARGE_CYCLE_LIMIT = 200
-#: Number of cycles after which the smallest eigenvalue of a run is reliable.
-_RELIABLE_STEPS = 6
-#: Smallest eigenvalue that is assumed in the first step.
-_USUAL_LEAST = 0.3
 #: Growth of the assumed smallest eigenvalue after a run that is not reliable.
 _FORGOTTEN = 2.0
 #: Rough error, relative to the tolerance, at which it is worth a cycle to measure the error.
@@ -259,7 +260,7 @@ class Newton:
         # False once a prescribed position is known to be out of reach.
         self._is_converged = True
         # Smallest eigenvalue of the preconditioned tangent matrix that the next run should expect.
-        self._least = _USUAL_LEAST
+        self._least = USUAL_LEAST
         # First fraction of the buckling terms to leave out in the next step, and whether cycles
         # found a direction in which the tissue buckles.
         self._positive = 0.0
@@ -555,10 +556,11 @@ class Newton:
         self._buckles = not done and count < patience
         if latest is None or not done:
             return None
-        found = iteration.run_least
-        least = found if count >= _RELIABLE_STEPS else min(found, self._least)
-        # A slow motion that a short run does not find again may have ended.
-        self._least = least if count >= _RELIABLE_STEPS else min(found, _FORGOTTEN * self._least)
+        least = kept = iteration.run_least
+        if count < RELIABLE_STEPS:
+            # A slow motion that a short run does not find again may have ended.
+            least, kept = min(least, self._least), min(kept, _FORGOTTEN * self._least)
+        self._least = kept
         return _Linear(way, latest.reach, float(np.abs(way).max()), cycle, least)
 
     def _count_cycle(self) -> None:
