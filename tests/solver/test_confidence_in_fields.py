@@ -7,7 +7,7 @@ import pytest
 from scipy import ndimage
 
 from benchmarks import campaign
-from napari_hmrf import Cancelled, ElasticPrior, Multigrid, Problem, solve
+from napari_hmrf import Cancelled, ElasticPrior, Multigrid, solve
 from napari_hmrf.data import phantom
 from tests.support.cancel_flags import During
 from tests.support.opengl import require_opengl
@@ -121,10 +121,7 @@ def test_phantoms_converge_with_cycles_alone(kind):
 def test_stiff_tissue_rotates_freely_on_oblong_pixels():
     m = np.ones((40, 40))
     m[15:25, 10:30] = 1e6
-    y, c = np.zeros((40, 40, 2)), np.zeros((40, 40, 2))
-    c[0] = c[-1] = 1
-    y[-1, :, 1] = 3
-    problem = Problem(observed=y, confidence=c, stiffness=m, spacing=(0.28, 1.0))
+    problem = between_plates(m, (0, 3), (0.28, 1.0))
     solution = solve(problem, PRIOR, optimizer=Multigrid(), backend="cpu")
     assert np.abs(solution.displacement - direct_solution(problem, PRIOR)).max() < 1e-3
 

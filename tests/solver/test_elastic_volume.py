@@ -342,19 +342,15 @@ def test_the_error_of_a_weakly_constrained_volume_is_estimated_by_rehearsal():
     """A ball constrained at its poles: its rotation between the poles converges late."""
     places = np.moveaxis(np.indices((20, 16, 16)), 0, -1) / (20, 16, 16) - 0.475
     m = (np.linalg.norm(places, axis=-1) < 0.5).astype(float)
-    y, c = np.zeros((*m.shape, 3)), np.zeros((*m.shape, 3))
-    c[[0, -1]] = 1
-    y[-1] = np.random.default_rng(0).normal(size=(16, 16, 3))
+    problem = between_plates(m, np.random.default_rng(0).normal(size=(16, 16, 3)))
     heard = []
     found = solve(
-        Problem(observed=y, confidence=c, stiffness=m),
+        problem,
         optimizer=Multigrid(0.01),
         progress=lambda m: heard.append(m.message),
     )
     assert any(message.startswith("rehearsal") for message in heard)
-    exact = solve(
-        Problem(observed=y, confidence=c, stiffness=m), optimizer=Multigrid(1e-5), initial=found
-    )
+    exact = solve(problem, optimizer=Multigrid(1e-5), initial=found)
     assert np.abs(found.displacement - exact.displacement).max() <= found.convergence.error
 
 

@@ -18,20 +18,24 @@ from napari_hmrf.solver.connected import connected
 from napari_hmrf.solver.model_names import in_words
 from napari_hmrf.solver.optimizers import ICM
 from napari_hmrf.solver.priors import line_steps, line_weights
-from napari_hmrf.solver.quadtree import levels
 from tests.support.cancel_flags import During
 from validation.bodies import dice_of
-from validation.oracles import followed
+from validation.oracles.paper import (
+    best_candidates,
+    candidates,
+    local_energies,
+    prolonged,
+    schedule,
+    solve_exactly,
+    total_energy,
+)
 from validation.oracles.paper import line_weights as reference_weights
-from validation.oracles.paper import solve_exactly, total_energy
 from validation.problems import random_problem
 
 CUBES, OBLONG = (1.0, 1.0, 1.0), (1.0, 1.7, 0.6)
 PRECISE = Multigrid(1e-3)
 CONVERGED = ICM(iterations=3000, steps=None, energy_change=1e-9)
 STEPS = (1.0, 0.1, 0.01, 0.001)
-#: Negligible confidence, for problems without observations.
-NOWHERE = 1e-30
 
 
 def compressed_volume(shape=(8, 9, 7), ratio=10.0, spacing=CUBES, seed=0, void=False):
@@ -168,76 +172,20 @@ def test_a_sweep_matches_the_equations(shape, ratio, spacing, damping):
     np.testing.assert_allclose(moved, best, atol=2e-5)
 
 
-def best_candidate(problem, prior, d):
-    """Return the first best move of each site in voxels, its energy, and the energy function."""
-    curvature, lowest = prior.site_parabola(problem, d * problem.unit)
-    p = np.where(problem.known & (problem.confidence > NOWHERE), prior.limit(problem), 0)
-    y = problem.observed / problem.unit
-
-    def energy(there):
-        of_cliques = curvature * (there - lowest / problem.unit) ** 2
-        return (of_cliques + p * np.abs(there - y)).sum(axis=-1)
-
-    moves = [e * np.array(way) for e in STEPS for way in itertools.product((0, 1, -1), repeat=3)]
-    least, best = energy(d), d
-    for move in moves:
-        value = energy(d + move)
-        best = np.where((value < least)[..., None], d + move, best)
-        least = np.minimum(value, least)
-    return best * problem.tissue[..., None], least, energy
-
-
 @pytest.mark.parametrize(("shape", "ratio", "spacing"), CASES)
 def test_a_sweep_moves_each_site_to_its_best_candidate(shape, ratio, spacing):
     problem, prior = compressed_volume(shape, ratio, spacing, void=True), SeilerPrior(penalty=1e3)
     d = np.random.default_rng(2).normal(size=problem.observed.shape).astype(np.float32)
     d[~problem.tissue] = 0
     moved, _, _ = relaxed(problem, prior, d, STEPS)
-    best, least, energy = best_candidate(problem, prior, d.astype(float))
+    y, p = problem.observed / problem.unit, prior.limit(problem)
+    energies = local_energies(problem.stiffness, y, p, d, spacing)
+    best = best_candidates(energies, d.astype(float), candidates(STEPS, 3))
+    best *= problem.tissue[..., None]
     # Either of two candidates that are equal up to rounding may be taken.
-    worse = energy(moved.astype(float)) - least
-    assert (worse / (energy(d.astype(float)) + 1e-30)).max() < 1e-5
+    worse = energies(moved.astype(float)) - energies(best)
+    assert (worse / (energies(d.astype(float)) + 1e-30))[problem.tissue].max() < 1e-5
     assert (np.abs(moved - best).max(axis=-1) > 1e-5).mean() < 1e-2
-
-
-@followed(lambda *_: SeilerPrior())
-def literal_schedule(problem, iterations, penalty):
-    """Return the result of the printed schedule, in NumPy and double precision."""
-    d, above = None, None
-    for level in reversed(levels(problem.shape)):
-        at = np.ix_(
-            *(
-                [min((2 * i + 1) * 2**level.number // 2, size - 1) for i in range(sites)]
-                for sites, size in zip(level.shape, problem.shape, strict=True)
-            )
-        )
-        y, c, m = (each[at] for each in (problem.observed, problem.confidence, problem.stiffness))
-        if above is None:  # pad the root, because a volume needs more than one site
-            y, c, m = (np.concatenate([each, 0 * each]) for each in (y, c, m))
-        here = np.zeros(y.shape) if above is None else projected(d, above, m)
-        for _ in range(iterations):
-            on_level = Problem(observed=y, confidence=np.maximum(c, NOWHERE), stiffness=m)
-            here, _, _ = best_candidate(on_level, SeilerPrior(penalty=penalty), here)
-        if above is None:
-            here, m = here[:1], m[:1]
-        d, above = here, m
-    return d
-
-
-def projected(coarse, coarse_m, m):
-    """Return the displacement on the next finer level: linear, without void, repeated borders."""
-    made = np.zeros((*m.shape, 3))
-    for site in np.argwhere(m > 0):
-        total, moved = 0.0, np.zeros(3)
-        for far in itertools.product((0, 1), repeat=3):
-            near = [i // 2 + (o if i % 2 else -o) for i, o in zip(site, far, strict=True)]
-            at = tuple(
-                min(max(i, 0), size - 1) for i, size in zip(near, coarse_m.shape, strict=True)
-            )
-            weight = 0.75 ** (3 - sum(far)) * 0.25 ** sum(far) * (coarse_m[at] > 0)
-            total, moved = total + weight, moved + weight * coarse[at]
-        made[tuple(site)] = moved / total if total else 0
-    return made
 
 
 def test_prolongation_is_linear_and_ignores_void():
@@ -256,17 +204,15 @@ def test_prolongation_is_linear_and_ignores_void():
             return backend.download(backend.prolong(given, above, here))
 
         found = compute_thread.submit(job).result()
-        np.testing.assert_allclose(found, projected(coarse, coarse_m, m), atol=1e-6)
+        np.testing.assert_allclose(found, prolonged(coarse, coarse_m, m), atol=1e-6)
 
 
 def test_the_schedule_matches_the_literal_implementation():
     problem = compressed_volume((9, 6, 7), void=True)
     one, many = (solve(problem, SeilerPrior(), optimizer=ICM(iterations=n)) for n in (1, 12))
-    penalty = SeilerPrior().penalty_for(problem)
-    expected = literal_schedule(problem, 1, penalty)
-    np.testing.assert_allclose(one.displacement, expected, atol=1e-6)
+    np.testing.assert_allclose(one.displacement, schedule(problem, 1), atol=1e-6)
     # Rounding decides between candidates of equal energy, so single sites may differ.
-    apart = np.abs(many.displacement - literal_schedule(problem, 12, penalty))
+    apart = np.abs(many.displacement - schedule(problem, 12))
     assert np.sqrt((apart**2).mean()) < 0.01
     assert (apart > 1e-4).mean() < 0.05
 

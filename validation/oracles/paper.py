@@ -92,47 +92,61 @@ def cliques(m: npt.NDArray[Any], spacing: tuple[float, ...]) -> Iterator[Cliques
         yield s[exist], t[exist], u[exist], line_weights(step, spacing)
 
 
-def _potentials(problem: Problem, d: Array, some: Cliques) -> Array:
-    """Return V of cliques for each component, (cliques, 2) or (cliques, 3)."""
-    m, moved = problem.stiffness.astype(np.float64).ravel(), d.reshape(-1, d.shape[-1])
+def _potential(
+    m: Array, some: Cliques, at_s: Array, at_t: Array, at_u: Array
+) -> npt.NDArray[np.floating[Any]]:
+    """Return V of cliques for each component, (cliques, 2) or (cliques, 3), from displacements."""
     s, t, u, weights = some
-    first = (m[t] / m[u])[:, None] * (moved[t] - moved[s]) - (moved[u] - moved[t])
-    second = (m[t] / m[s])[:, None] * (moved[t] - moved[u]) - (moved[s] - moved[t])
+    first = (m[t] / m[u])[:, None] * (at_t - at_s) - (at_u - at_t)
+    second = (m[t] / m[s])[:, None] * (at_t - at_u) - (at_s - at_t)
     return np.asarray(weights * (first**2 + second**2))
 
 
 def total_energy(problem: Problem, d: Array, penalty: float) -> float:
     """Return U_total (eq. 7) of a displacement, as a sum over the cliques."""
     d = np.asarray(d, np.float64) / problem.unit
-    every = cliques(problem.stiffness, problem.spacing)
-    energy = sum(_potentials(problem, d, some).sum() for some in every)
+    m, moved = problem.stiffness.astype(np.float64).ravel(), d.reshape(-1, d.shape[-1])
+    energy = 0.0
+    for some in cliques(problem.stiffness, problem.spacing):
+        s, t, u, _ = some
+        energy += _potential(m, some, moved[s], moved[t], moved[u]).sum()
     held = problem.tissue[..., None] * penalty * problem.confidence.astype(np.float64)
     return float(energy + (held * np.abs(problem.observed / problem.unit - d)).sum())
 
 
-def local_energy(
-    problem: Problem, d: Array, penalty: float, site: tuple[int, ...], blanket: bool
-) -> Callable[[Array], float]:
-    """Return the local energy of a site as a function of its displacement.
+def local_energies(
+    m: Array, y: Array, p: Array, d: Array, spacing: tuple[float, ...], blanket: bool = False
+) -> Callable[[Array], Array]:
+    """Return the local energies of all sites as a function of where each of them would be.
 
-    In the blanket reading, it is the energy of all cliques that contain the site; in the centred
-    reading, of those with the site in the middle.
+    A site at its own displacement is compared with the other sites at `d`. In the blanket reading,
+    its energy is that of all cliques that contain the site; in the centred reading, of those with
+    the site in the middle. All displacements are in pixels.
+
+    Parameters
+    ----------
+    m : ndarray, shape (H, W) or (D, H, W)
+        Stiffness.
+    y, p, d : ndarray, shape (H, W, 2) or (D, H, W, 3)
+        Observations, their penalties K c, and the present displacement.
+    spacing : tuple of float
+    blanket : bool
     """
-    at = np.ravel_multi_index(site, problem.shape)
-    mine = []
-    for s, t, u, weights in cliques(problem.stiffness, problem.spacing):
-        own = (t == at) | (blanket & ((s == at) | (u == at)))
-        mine.append((s[own], t[own], u[own], weights))
-    confidence = problem.confidence[site].astype(np.float64)
-    y = problem.observed[site].astype(np.float64) / problem.unit
+    m = np.asarray(m, np.float64)
+    every, flat, now = list(cliques(m, spacing)), m.ravel(), np.asarray(d).reshape(-1, m.ndim)
 
-    def energy(value: Array) -> float:
-        changed = np.array(d, np.float64) / problem.unit
-        changed[site] = np.asarray(value) / problem.unit
-        prior = sum(_potentials(problem, changed, some).sum() for some in mine)
-        return float(prior + (penalty * confidence * np.abs(y - changed[site])).sum())
+    def energies(there: Array) -> Array:
+        moved = np.asarray(there).reshape(-1, m.ndim)
+        energy = (p * np.abs(y - there)).sum(axis=-1).ravel()
+        for some in every:
+            s, t, u, _ = some
+            energy[t] += _potential(flat, some, now[s], moved[t], now[u]).sum(axis=-1)
+            if blanket:
+                energy[s] += _potential(flat, some, moved[s], now[t], now[u]).sum(axis=-1)
+                energy[u] += _potential(flat, some, now[s], now[t], moved[u]).sum(axis=-1)
+        return energy.reshape(m.shape)
 
-    return energy
+    return energies
 
 
 def equations(
@@ -198,12 +212,67 @@ def solve_exactly(problem: Problem, reading: str) -> Array:
 # The literal algorithm.
 
 
-def candidates(steps: tuple[float, ...]) -> npt.NDArray[np.float32]:
-    """Return Gamma: no move, then {0, e, -e} x {0, e, -e} for each step e; the first tie wins."""
-    gamma = [(0.0, 0.0)]
+def candidates(steps: tuple[float, ...], axes: int = 2) -> npt.NDArray[np.float32]:
+    """Return Gamma: no move, then {0, e, -e} along all axes for each step e; the first tie wins."""
+    gamma = [(0.0,) * axes]
     for step in steps:
-        gamma += [(i * step, j * step) for i in (0, 1, -1) for j in (0, 1, -1) if i or j]
+        gamma += [tuple(step * i for i in way) for way in product((0, 1, -1), repeat=axes)][1:]
     return np.array(gamma, dtype=np.float32)
+
+
+def prolonged(
+    coarse: npt.NDArray[Any], coarse_m: npt.NDArray[Any], m: npt.NDArray[Any]
+) -> npt.NDArray[Any]:
+    """Return the displacement on the next finer level: linear, without void, repeated borders."""
+    total = np.zeros((*m.shape, 1), coarse.dtype)
+    moved = np.zeros((*m.shape, m.ndim), coarse.dtype)
+    for farther in product((False, True), repeat=m.ndim):
+        around = []
+        for size, sites, is_farther in zip(m.shape, coarse_m.shape, farther, strict=True):
+            fine = np.arange(size)
+            beyond = np.where(fine % 2, 1, -1) if is_farther else 0
+            around.append(np.clip(fine // 2 + beyond, 0, sites - 1))
+        near = np.ix_(*around)
+        share = 0.75 ** farther.count(False) * 0.25 ** farther.count(True)
+        weight = coarse.dtype.type(share) * (coarse_m[near] > 0)[..., None]
+        total += weight
+        moved += weight * coarse[near]
+    is_reached = (m > 0)[..., None] & (total > 0)
+    return np.divide(moved, total, out=np.zeros_like(moved), where=is_reached)
+
+
+def best_candidates(energies: Callable[[Array], Array], d: Array, gamma: npt.NDArray[Any]) -> Array:
+    """Return `d` after the first move of least energy of each site."""
+    least, best = np.full(d.shape[:-1], np.inf), d
+    for move in gamma:
+        there = d + move
+        energy = energies(there)
+        best = np.where((energy < least)[..., None], there, best)
+        least = np.minimum(energy, least)
+    return best
+
+
+@followed(lambda *_: SeilerPrior())
+def schedule(problem: Problem, iterations: int) -> Array:
+    """Return the displacement of the printed schedule, in pixels of a grid of square pixels.
+
+    This is the algorithm of `solve_literally` for images and volumes, in NumPy and float64.
+    """
+    prior = SeilerPrior()
+    gamma = candidates(ICM().steps or (), len(problem.shape))
+    penalty = prior.penalty_for(problem)
+    d = above = None
+    for level in reversed(levels(problem.shape)):
+        at = np.ix_(*nearest_pixels(level, problem.shape))
+        y, c, m = (each[at] for each in (problem.observed, problem.confidence, problem.stiffness))
+        here = np.zeros(y.shape) if d is None or above is None else prolonged(d, above, m)
+        for _ in range(iterations):
+            moved = best_candidates(
+                local_energies(m, y, penalty * c, here, problem.spacing), here, gamma
+            )
+            here = np.where((m > 0)[..., None], moved, 0)
+        d, above = here, m
+    return np.asarray(d)
 
 
 @_compiled
@@ -249,32 +318,6 @@ def _sweep(m, y, p, d, target, gamma):
             target[i, j, 1] = d[i, j, 1] + gamma[best, 1]
 
 
-@_compiled
-def prolong(coarse, coarse_m, m, d):
-    """Set `d` to the means of the coarse sites around each site of tissue, by their distance."""
-    for i in range(m.shape[0]):
-        for j in range(m.shape[1]):
-            if m[i, j] == 0:
-                continue
-            total = _f(0)
-            row = _f(0)
-            col = _f(0)
-            for a in range(2):
-                near = i // 2 if a == 0 else i // 2 + (1 if i % 2 else -1)
-                ci = min(max(near, 0), coarse_m.shape[0] - 1)
-                for b in range(2):
-                    near = j // 2 if b == 0 else j // 2 + (1 if j % 2 else -1)
-                    cj = min(max(near, 0), coarse_m.shape[1] - 1)
-                    weight = _f(0.75 if a == 0 else 0.25) * _f(0.75 if b == 0 else 0.25)
-                    if coarse_m[ci, cj] > 0:
-                        total += weight
-                        row += weight * coarse[ci, cj, 0]
-                        col += weight * coarse[ci, cj, 1]
-            if total > 0:
-                d[i, j, 0] = row / total
-                d[i, j, 1] = col / total
-
-
 def solve_literally(
     problem: Problem, prior: SeilerPrior | None = None, optimizer: ICM | None = None
 ) -> npt.NDArray[np.float32]:
@@ -295,9 +338,10 @@ def solve_literally(
     for level in reversed(levels(problem.shape)):
         at = np.ix_(*nearest_pixels(level, problem.shape))
         m, y, p = (np.ascontiguousarray(image[at]) for image in (finest_m, finest_y, finest_p))
-        d = np.zeros((*level.shape, 2), dtype=np.float32)
-        if coarse is not None:
-            prolong(coarse, coarse_m, m, d)
+        if coarse is None or coarse_m is None:
+            d = np.zeros((*level.shape, 2), dtype=np.float32)
+        else:
+            d = prolonged(coarse, coarse_m, m)
         target = np.zeros_like(d)
         for _ in range(optimizer.iterations):
             _sweep(m, y, p, d, target, gamma)

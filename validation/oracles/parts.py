@@ -33,6 +33,7 @@ from validation.oracles.elasticity import (
 from validation.oracles.posterior import with_data
 
 if TYPE_CHECKING:
+    from napari_hmrf.tissue.cavity import Cavity
     from validation.problems import Contents
 
 Array = npt.NDArray[np.float64]
@@ -41,6 +42,16 @@ Sites = npt.NDArray[np.intp]
 
 #: Least eigenvalue, of the matrix with a diagonal of 1, up to which it yields no correct digits.
 UNRESOLVED = 1e-13
+
+
+def pressure_of(contents: Contents | Cavity, heights: Array, surface: Array) -> Array:
+    """Return the pressure of the contents of a cavity at some heights.
+
+    The fluid fills the cavity, whose surface has the heights `surface`, up to its level.
+    """
+    low, high = surface.min(), surface.max()
+    top = low + contents.level * (high - low)
+    return np.asarray(contents.pressure + contents.fluid * np.maximum(0.0, top - heights))
 
 
 def forces_of(contents: Contents, m: npt.NDArray[Any], spacing: tuple[float, ...]) -> Array:
@@ -78,13 +89,11 @@ def forces_of(contents: Contents, m: npt.NDArray[Any], spacing: tuple[float, ...
         return force
     down = contents.gravity / np.linalg.norm(contents.gravity)
     heights = {site: -float(down @ (site * size)) for *_, sites in faces for site in sites}
-    low, high = min(heights.values()), max(heights.values())
-    surface = low + contents.level * (high - low)
+    known = np.array(list(heights.values()))
+    presses_at = dict(zip(heights, pressure_of(contents, known, known), strict=True))
     gauss = [0.5 - 12**-0.5, 0.5 + 12**-0.5]
     for axis, inwards, sites in faces:
-        presses = [
-            contents.pressure + contents.fluid * max(0.0, surface - heights[at]) for at in sites
-        ]
+        presses = [presses_at[at] for at in sites]
         area = size.prod() / size[axis]
         ends = list(itertools.product((0, 1), repeat=axes - 1))
         for point in itertools.product(gauss, repeat=axes - 1):

@@ -28,6 +28,7 @@ from napari_hmrf import (
 from napari_hmrf.loads import Loads, growth, pressure, reactions, traction, weight
 from napari_hmrf.solver.priors.elastic import Plane
 from validation.oracles import calculix
+from validation.oracles.parts import pressure_of
 from validation.study import Options, Results, Table, Target, order, study
 
 Float64Array = npt.NDArray[np.float64]
@@ -329,7 +330,7 @@ def resected(size: int, axes: int, plane: Plane, nu: float, contents: str) -> tu
     spacing, shape = case.spacing, whole.shape
     places = np.moveaxis(np.indices(shape), 0, -1)
     hole = np.linalg.norm((places - 0.55 * size) / (1.0, 0.7, 0.8)[:axes], axis=-1) < size / 4
-    pressure, relative, level = CONTENTS[contents]
+    inner, relative, level = CONTENTS[contents]
     heaviness = math.hypot(*case.pull)
     labels = np.where(hole, 1, 0)
     labels[0] = 2
@@ -337,7 +338,7 @@ def resected(size: int, axes: int, plane: Plane, nu: float, contents: str) -> tu
         labels=labels,
         rules=(BoundaryRule(1, "remove"), BoundaryRule(2, "fixed")),
         weight=case.pull,
-        cavity=Cavity(pressure, relative * heaviness, level),
+        cavity=Cavity(inner, relative * heaviness, level),
     )
     prior = ElasticPrior(nu, plane=plane)
     study = Study(Grid(shape, spacing), Tissue(stiffness=whole), motion, prior=prior)
@@ -347,10 +348,7 @@ def resected(size: int, axes: int, plane: Plane, nu: float, contents: str) -> tu
     # The surface and the pressure of CalculiX, from the geometry alone.
     near = scipy.ndimage.binary_dilation(hole, np.ones((3,) * axes)) & ~hole
     depth = places * spacing @ np.array(case.pull) / heaviness
-    top, bottom = depth[near].min(), depth[near].max()
-    presses = pressure + relative * heaviness * np.maximum(
-        depth - bottom + level * (bottom - top), 0
-    )
+    presses = pressure_of(motion.cavity, -depth, -depth[near])
     theirs = calculix.loaded_field(
         np.where(hole, 0.0, whole),
         spacing,

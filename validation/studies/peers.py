@@ -410,16 +410,10 @@ def readme_table(results: Results, differences: Differences) -> str:
     for size in sorted({size for _, size in results}):
         names = ("cpu", "opengl", "pyamg", "superlu")
         runs = [results.get((name, size)) for name in names]
-        times = [None if run is None else _short_duration(run.seconds) for run in runs]
+        times = [None if run is None else table.duration(run.seconds) for run in runs]
         off = f"{differences[size]:.3f} px" if size in differences else None
         rows.append([f"{size} x {size}", *times, off])
     return table.markdown(_README_TITLES, rows)
-
-
-def _short_duration(seconds: float) -> str:
-    if seconds < 0.1:
-        return f"{1e3 * seconds:.0f} ms"
-    return f"{seconds:.2f} s" if seconds < 1 else f"{seconds:.2g} s"
 
 
 def _images(sizes: Sequence[int]) -> Callable[[Options], dict[str, Sequence[int]]]:

@@ -1,7 +1,5 @@
 """ICM: agreement with the paper's algorithm, and behaviour of the tissue."""
 
-import itertools
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,7 +10,15 @@ from napari_hmrf.data import phantom
 from napari_hmrf.solver.connected import connected
 from napari_hmrf.solver.quadtree import levels
 from validation.bodies import frame_problem
-from validation.oracles.paper import local_energy, solve_exactly, solve_literally
+from validation.oracles.paper import (
+    best_candidates,
+    candidates,
+    local_energies,
+    prolonged,
+    schedule,
+    solve_exactly,
+    solve_literally,
+)
 
 CONVERGED = ICM(iterations=20000, steps=None, energy_change=1e-9)
 
@@ -36,22 +42,17 @@ def test_a_sweep_moves_each_site_to_its_best_candidate(conditional):
     shape = (3, 2)  # the levels are 3x2, 2x1 and 1x1, and only the finest has cliques
     rng = np.random.default_rng(5)
     steps = ICM().steps
-    moves = [(0.0, 0.0)]
-    for e in steps:
-        moves += [(i * e, j * e) for i, j in itertools.product((0, 1, -1), repeat=2) if i or j]
     for _ in range(8):
         m = rng.choice([10.0, 20, 40], size=shape)
         problem = Problem(
             observed=rng.normal(size=(*shape, 2)), confidence=rng.random((*shape, 2)), stiffness=m
         )
         prior = SeilerPrior(penalty=2.0, conditional=conditional, damping=1.0)
-        before = solve(problem, prior, optimizer=ICM(iterations=1, steps=steps), backend="cpu")
-        start = coarse_start(problem, prior, steps)
-        for site in itertools.product(*map(range, shape)):
-            energy = local_energy(problem, start, 2.0, site, conditional == "blanket")
-            values = [energy(start[site] + move) for move in moves]
-            taken = energy(before.displacement[site].astype(float))
-            assert taken == pytest.approx(min(values), abs=1e-4)
+        moved = solve(problem, prior, optimizer=ICM(iterations=1, steps=steps), backend="cpu")
+        start, y, p = coarse_start(problem, prior, steps), problem.observed, prior.limit(problem)
+        energies = local_energies(m, y, p, start, problem.spacing, conditional == "blanket")
+        least = energies(best_candidates(energies, start, candidates(steps)))
+        np.testing.assert_allclose(energies(moved.displacement), least, atol=1e-4)
 
 
 def coarse_start(problem, prior, steps):
@@ -67,25 +68,17 @@ def coarse_start(problem, prior, steps):
     )
     assert coarse.shape == coarser[0].shape
     d = solve(coarse, prior, optimizer=ICM(iterations=1, steps=steps), backend="cpu").displacement
-    start = np.zeros((*problem.shape, 2))
-    for i, j in itertools.product(*map(range, problem.shape)):
-        for a, b in itertools.product(range(2), repeat=2):
-            near = [
-                k // 2 if o == 0 else k // 2 + (1 if k % 2 else -1) for k, o in ((i, a), (j, b))
-            ]
-            site = tuple(
-                min(max(n, 0), size - 1) for n, size in zip(near, coarse.shape, strict=True)
-            )
-            start[i, j] += (0.25 if a else 0.75) * (0.25 if b else 0.75) * d[site]
-    return start
+    return prolonged(d.astype(float), coarse.stiffness, problem.stiffness)
 
 
-def test_the_loops_agree_with_the_literal_implementation():
+def test_the_loops_and_the_baseline_of_the_speed_tables_agree_with_the_literal_schedule():
     # Rounding decides between candidates of equal energy, so single sites may differ.
     problem = frame_problem((32, 25))
+    expected = schedule(problem, 30)
     literal = solve_literally(problem, optimizer=ICM(iterations=30))
     ours = solve(problem, SeilerPrior(), optimizer=ICM(iterations=30), backend="cpu").displacement
-    assert np.sqrt(np.mean((literal - ours) ** 2)) < 0.01
+    for found in (literal, ours):
+        assert np.sqrt(np.mean((found - expected) ** 2)) < 0.01
 
 
 @pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.campaign)])

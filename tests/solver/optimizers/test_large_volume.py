@@ -22,7 +22,7 @@ from napari_hmrf.loads import Loads
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.priors.finite_bricks import bernstein_coefficients
 from napari_hmrf.solver.priors.hexahedra import brick_shape
-from validation.bodies import dragged_ball, framed, growing_ball
+from validation.bodies import between_plates, dragged_ball, framed, growing_ball
 from validation.oracles.large_motion import (
     displaced_corners,
     large_field,
@@ -147,14 +147,10 @@ def test_an_element_with_positive_corners_can_be_folded_and_is_detected() -> Non
 def test_large_motion_of_a_volume_matches_an_independent_newton_solve(poisson) -> None:
     size = 8
     places = np.moveaxis(np.indices((size, size, size), dtype=np.float64), 0, -1)
-    end = np.zeros_like(places)
     turn = Rotation.from_rotvec([0, 0, 0.25]).as_matrix() - np.eye(3)
-    end[-1] = places[0] @ turn.T
-    c = np.zeros_like(end)
-    c[0] = c[-1] = 1
     m = np.ones((size, size, size))
     m[2:5, 2:5, 2:5] = 4
-    problem = Problem(observed=end, confidence=c, stiffness=m)
+    problem = between_plates(m, places[0] @ turn.T)
     found = solve(problem, NeoHookeanPrior(poisson), backend="cpu").displacement
     assert np.abs(found - large_field(problem, NeoHookeanPrior(poisson))).max() < 0.002
 
