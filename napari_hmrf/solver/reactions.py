@@ -10,6 +10,7 @@ from napari_hmrf.errors import ArgumentError
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.rigid.bodies import Bodies, bodies_of
 from napari_hmrf.solver.connected import connected
+from napari_hmrf.solver.data_term import DataTerm
 from napari_hmrf.solver.drift import has_drift, with_drift_of
 from napari_hmrf.solver.priors import NeoHookeanPrior
 from napari_hmrf.solver.problem import Problem, grid_in_words
@@ -20,10 +21,12 @@ _SAME_SPACING = 1e-6
 
 
 def reactions(problem: Problem, solution: Solution) -> npt.NDArray[np.float64]:
-    """Return the force that each observed site exerts on the tissue.
+    """Return the force that each observation exerts on the tissue.
 
-    The reactions and the forces of the problem's loads add up to zero. The sum over a mark is the
-    force that constrains or pulls this mark: ``reactions(problem, solution)[mark].sum(axis=0)``.
+    Observations are prescribed displacements, those with a precision, such as a wall along which
+    tissue slides, and uncertain landmarks. The reactions and the forces of the problem's loads add
+    up to zero. The sum over a mark is the force that constrains or pulls this mark:
+    ``reactions(problem, solution)[mark].sum(axis=0)``.
     The accuracy of the reactions depends on the accuracy of the field: for accurate reactions,
     solve to a smaller tolerance than for displacements.
 
@@ -37,6 +40,7 @@ def reactions(problem: Problem, solution: Solution) -> npt.NDArray[np.float64]:
     -------
     ndarray, shape (H, W, 2) or (D, H, W, 3)
         Reaction forces, with components in the order of the axes; 0 at sites without observation.
+        A landmark acts on the corners of its element.
         In an image, forces per thickness, in the unit of stiffness times length; in a volume,
         forces, in the unit of stiffness times length squared. The force on a rigid body is
         distributed over its observed sites.
@@ -71,13 +75,27 @@ def reactions(problem: Problem, solution: Solution) -> npt.NDArray[np.float64]:
         problem = with_drift_of(problem, solution)
     joined = connected(problem, prior)
     problem = joined.problem
-    forces = prior.forces(problem, solution.displacement)
+    forces, acts = prior.forces(problem, solution.displacement), _observed(problem)
     if problem.rigid.any():
-        planes, known = host.planes(forces), host.planes(problem.known).astype(np.bool_)
+        planes, held = host.planes(forces), host.planes(acts).astype(np.bool_)
         moved = None
         if isinstance(prior, NeoHookeanPrior):
             moved = host.planes(solution.displacement / np.float64(problem.unit))
-        bodies = Bodies(bodies_of(problem.stiffness), prior.material(problem), known, moved)
+        bodies = Bodies(bodies_of(problem.stiffness), prior.material(problem), held, moved)
         bodies.carry(planes)
         forces = host.field(planes)
-    return joined.returned(np.where(problem.known, forces * prior.force_unit(problem), 0.0))
+    return joined.returned(np.where(acts, forces * prior.force_unit(problem), 0.0))
+
+
+def _observed(problem: Problem) -> npt.NDArray[np.bool_]:
+    """Return the components on which an observation acts, shape (H, W, 2) or (D, H, W, 3)."""
+    data = DataTerm.of(problem, 1.0)
+    if data is None:
+        return problem.known
+    acts = data.weights[: data.axes] > 0
+    if data.points is not None:
+        of_axes = zip(acts.reshape(data.axes, -1), data.points.weights > 0, strict=True)
+        for components, is_seen in of_axes:
+            components[data.points.corners[is_seen]] = True
+    observed: npt.NDArray[np.bool_] = problem.known | host.field(acts)
+    return observed

@@ -18,7 +18,9 @@ from napari_hmrf import (
     Solution,
     solve,
 )
+from napari_hmrf.landmarks import Landmarks, StrainScale
 from napari_hmrf.loads import Loads, cavity, growth, pressure, reactions, traction, weight
+from napari_hmrf.tissue import sliding_precision
 from tests.support.opengl import require_opengl
 from validation.oracles import calculix
 from validation.oracles.elasticity import direct_solution
@@ -316,6 +318,31 @@ def test_the_support_of_a_rigid_body_bears_its_weight():
         holds.sum(axis=(0, 1)), -problem.loads.force.sum(axis=(0, 1)), atol=1e-4
     )
     assert holds[5, 4:6, 0].sum() > 0.2, "the support should pull the body down"
+
+
+@pytest.mark.parametrize("axes", [2, 3])
+@pytest.mark.parametrize("bone", [1.0, np.inf])
+@pytest.mark.parametrize("support", ["wall", "landmark"])
+def test_walls_of_a_precision_and_landmarks_bear_the_load(axes, bone, support):
+    shape = (12, 9, 8)[:axes]
+    m, c = np.ones(shape), np.zeros((*shape, axes))
+    m[(slice(4, 7),) * axes] = bone
+    c[:, 0, ..., 1:] = 1
+    floor = np.arange(12).reshape(12, *(1,) * (axes - 1)) == 11
+    middle = [(5.0, 4.0, 4.0)[:axes]]
+    observed = (
+        {"precision": sliding_precision(m, np.broadcast_to(floor, shape), spacing=1)}
+        if support == "wall"
+        else {"landmarks": Landmarks(middle, middle, sd=0.2, scale=StrainScale(0.1, extent=5))}
+    )
+    loads = weight(np.ones(shape), (0.01, 0, 0)[:axes], spacing=1)
+    problem = Problem(observed=0 * c, confidence=c, stiffness=m, loads=loads, **observed)
+    holds = reactions(problem, found(problem, ElasticPrior(0.3)))
+    sites = tuple(range(axes))
+    down = -loads.force.sum(axis=sites)
+    np.testing.assert_allclose(holds.sum(axis=sites), down, atol=1e-4)
+    bears = holds[-1] if support == "wall" else holds[4:7, 3:7]
+    np.testing.assert_allclose(bears.reshape(-1, axes).sum(axis=0)[0], down[0], atol=1e-4)
 
 
 def test_supports_too_weak_for_a_load_are_rejected_and_slip_is_in_equilibrium():
