@@ -46,7 +46,7 @@ from benchmarks.checkouts import (
     serve,
     start_workers,
 )
-from benchmarks.clock import Times, conditions, now, repeated, with_memory
+from benchmarks.clock import conditions, now, repeated, with_memory
 from benchmarks.table import duration, head, line
 from napari_hmrf import (
     ElasticPrior,
@@ -869,7 +869,8 @@ def _row(
 ) -> list[str]:
     answers = in_turn(workers, {"work": title}, turns, seconds)
     own, facts = answers[0], workers[0].ready[title]
-    wall, processor = ([[turn[way] for turn in each] for each in answers] for way in Times._fields)
+    ways = ("wall", "processor")
+    wall, processor = ([[turn[way] for turn in each] for each in answers] for way in ways)
     medians = (duration(statistics.median(times[0])) for times in (wall, processor))
     cells = [chosen.name, title, str(size), *medians]
     if len(workers) == 1:
