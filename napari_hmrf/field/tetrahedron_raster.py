@@ -11,17 +11,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 
-from napari_hmrf.solver.backends.compile_cache.threaded import (
-    LOOPS,
-    bounds_of_part,
-    portion,
-    threaded,
-)
+from napari_hmrf.solver.backends.compile_cache.decorators import callee
+from napari_hmrf.solver.backends.compile_cache.threaded import bounds_of_part, portion, threaded
 
-_callee = numba.njit(no_cpython_wrapper=True, **LOOPS)
+_callee = callee()
 
 # Tolerance, in barycentric coordinates, for a voxel to be inside a tetrahedron.
 _SIDE = 1e-9

@@ -10,22 +10,15 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
-from napari_hmrf.solver.backends.compile_cache.threaded import (
-    LOOPS,
-    bounds_of_part,
-    portion,
-    threaded,
-)
+from napari_hmrf.solver.backends.compile_cache.decorators import cached, callee
+from napari_hmrf.solver.backends.compile_cache.threaded import bounds_of_part, portion, threaded
 
 # Decorators for functions that only compiled code calls. `_inlined` avoids a function call for each
 # cell; the calls would take a quarter of the run time.
-_callee = numba.njit(no_cpython_wrapper=True, **LOOPS)
-_inlined = numba.njit(no_cpython_wrapper=True, forceinline=True, **LOOPS)
-# Options of functions that Python calls; numba caches these functions on disk.
-_kept = {"cache": True, "nogil": True, **LOOPS}
+_callee = callee()
+_inlined = callee(forceinline=True)
 
 # Tolerance, in barycentric coordinates, for a pixel to be inside a triangle.
 _EDGE = 1e-9
@@ -247,7 +240,7 @@ def _note_reach(moved, tissue, row, reach):
     reach[row, 1] = high
 
 
-@numba.njit(**_kept)
+@cached()
 def rasterise(moved, tissue):
     """Invert the motion of the sites, linear on each triangle of three neighbouring sites.
 

@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
-from napari_hmrf.solver.backends.compile_cache.threaded import LOOPS, portion, threaded
+from napari_hmrf.solver.backends.compile_cache.decorators import cached, callee
+from napari_hmrf.solver.backends.compile_cache.threaded import portion, threaded
 
-_callee = numba.njit(no_cpython_wrapper=True, **LOOPS)
-_kept = {"cache": True, "nogil": True, **LOOPS}
+_callee = callee()
 
 
 @threaded()
@@ -127,7 +126,7 @@ def _octants(step, rows, cols):
     )
 
 
-@numba.njit(**_kept)
+@cached()
 def determinants(moved, tissue, elements, kind):
     """Reduce the determinants of the eight octants around each site of a volume to one value.
 
@@ -180,7 +179,7 @@ def determinants(moved, tissue, elements, kind):
     return made
 
 
-@numba.njit(**_kept)
+@cached()
 def gradients(moved, tissue, sizes):
     """Return the displacement gradient at each tissue site of a volume.
 

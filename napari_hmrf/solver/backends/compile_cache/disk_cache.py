@@ -26,11 +26,13 @@ PICTURES = (f"{_PACKAGE}.field.interpolation", f"{_PACKAGE}.field.triangle_raste
 _CACHE_VARIABLE = "NUMBA_CACHE_DIR"
 #: Free space required in a cache folder, and size of the file used to test writing, in bytes.
 _ROOM, _PROBE = 2**27, 2**16
-#: Module through which all multithreaded loops are compiled.
-_THREADED = f"{_PACKAGE}.solver.backends.compile_cache.threaded"
+#: Modules through which all loops are compiled.
+_DECORATORS = tuple(
+    f"{_PACKAGE}.solver.backends.compile_cache.{name}" for name in ("decorators", "threaded")
+)
 #: Modules of loops that are not in the solver's folder of loops.
 _OTHERS = (
-    _THREADED,
+    *_DECORATORS,
     *PICTURES,
     f"{_PACKAGE}.field.tetrahedron_raster",
     f"{_PACKAGE}.field.volume_loops",

@@ -31,14 +31,11 @@ from numba.core.compiler_machinery import register_pass
 from numba.core.ir import Expr
 from numba.core.typed_passes import NativeLowering
 
+from napari_hmrf.solver.backends.compile_cache.decorators import LOOPS, SOURCE
 from napari_hmrf.solver.backends.compile_cache.disk_cache import stamp
 
-#: Options of all functions that numba compiles. Loops are never called from C, so no C wrapper is
-#: needed. Without the last option, a function would or would not count references depending on
-#: which loop calls it first.
-LOOPS = {"error_model": "numpy", "no_cfunc_wrapper": True, "_nrt": True}
-#: Digest of this file; loops are compiled again after a change.
-_SOURCE = hashlib.sha256(Path(__file__).read_bytes()).digest()
+#: Digest of this file and of the decorators; loops are compiled again after a change.
+_SOURCE = SOURCE + hashlib.sha256(Path(__file__).read_bytes()).digest()
 #: Argument `thread` of a loop that another compiled function calls on its own thread.
 ALONE = (0, 1, 0)
 

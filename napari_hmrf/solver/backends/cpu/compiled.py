@@ -8,18 +8,16 @@ any file with compiled loops changes.
 from __future__ import annotations
 
 import gc
-from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import numba
 from numba.core import event
-from numba.core.compiler import CompilerBase, DefaultPassBuilder
 
-from napari_hmrf.solver.backends.compile_cache.disk_cache import sources, stamp
+from napari_hmrf.solver.backends.compile_cache.decorators import cached
+from napari_hmrf.solver.backends.compile_cache.decorators import callee as _callee
+from napari_hmrf.solver.backends.compile_cache.disk_cache import sources
 from napari_hmrf.solver.backends.compile_cache.threaded import (
     ALONE,
-    LOOPS,
     bounds_of_part,
     portion,
     threaded,
@@ -55,38 +53,8 @@ class _Uncollected(event.Listener):  # type: ignore[misc]
 event.register("numba:compile", _Uncollected())
 
 
-class _WithoutOverlap(CompilerBase):  # type: ignore[misc]
-    """Compiler that assumes that no array that a function writes overlaps its other arrays.
-
-    Otherwise LLVM guards each vectorized loop with a comparison of all addresses, and short loops
-    always run without vectors, because the comparison would take longer than the loop.
-    """
-
-    def define_pipelines(self) -> list[Any]:
-        """Return numba's usual pipeline."""
-        self.state.flags.noalias = True
-        return [DefaultPassBuilder.define_nopython_pipeline(self.state)]
-
-
-def _cached(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Return a decorator that compiles a function and caches it until a file of loops changes."""
-
-    def decorate(function: Callable[..., Any]) -> Any:
-        made = numba.njit(cache=True, nogil=True, **LOOPS, **options)(function)
-        stamp(made, sources())
-        return made
-
-    return decorate
-
-
-def _callee(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Return a decorator for functions that are called only by compiled loops."""
-    made: Callable[..., Any] = numba.njit(no_cpython_wrapper=True, **LOOPS, **options)
-    return made
-
-
-# Multithreaded loops are compiled again, too, when any file of this folder changes.
-_threaded = partial(threaded, sources())
+# Loops are compiled again when any file of this folder changes.
+_cached, _threaded = partial(cached, sources()), partial(threaded, sources())
 
 #: Decorator for functions that numba inlines into the source of their callers.
 inline = numba.njit(inline="always", error_model="numpy")
@@ -94,11 +62,11 @@ inline = numba.njit(inline="always", error_model="numpy")
 shared = _callee(fastmath=_ARITHMETIC, forceinline=True)
 #: Decorator for inlined loops whose outputs overlap none of their other arguments: such loops are
 #: vectorized at any length. Lines of one scratch array count as a single argument.
-disjoint = _callee(fastmath=_ARITHMETIC, forceinline=True, pipeline_class=_WithoutOverlap)
+disjoint = _callee(disjoint=True, fastmath=_ARITHMETIC, forceinline=True)
 #: Decorator for functions called by other loops, with contraction.
 callee = _callee(fastmath=_ARITHMETIC)
 #: Decorator for the same, if the outputs overlap none of the other arguments.
-disjoint_callee = _callee(fastmath=_ARITHMETIC, pipeline_class=_WithoutOverlap)
+disjoint_callee = _callee(disjoint=True, fastmath=_ARITHMETIC)
 #: Decorator for functions called by other loops, with exact IEEE arithmetic.
 strict_callee = _callee()
 #: Decorator for functions that may add terms in any order.
