@@ -123,6 +123,7 @@ class DockForm:
         loads = motion.weight, motion.cavity
         fields = (self.extent, model, model.in_detail, motion.edge, *loads)
         presets = motion.fields.preset
+        self._place: tuple[str, Directions, str] | None = None
         parts = (self.tissue.edited, motion.boundary.edited)
         for signal in (*parts, *(field.changed for field in (*fields, presets))):
             signal.connect(self.edited, max_args=0)
@@ -148,6 +149,9 @@ class DockForm:
 
     def show_place(self, unit: str, ways: Directions, stiffness: str) -> None:
         """Show the units of length and stiffness, and the directions of rows and columns."""
+        if self._place == (unit, ways, stiffness):
+            return
+        self._place = unit, ways, stiffness
         self.motion.fields.show_place(unit, ways)
         for part in (self.motion.boundary.table, self.motion.weight):
             part.show_place(unit, ways, stiffness)
