@@ -28,6 +28,7 @@ from tests.support.napari_caches import (
     check_widgets_once,
     collect_little_once,
     draw_letters_once,
+    enable_menus_of_windows_only,
     freeze_once,
     read_manifests_once,
 )
@@ -49,6 +50,8 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     # own, or use all threads explicitly. A rasterizer thread in Mesa 22.3 crashed, rarely, on a
     # busy machine.
     os.environ.setdefault("LP_NUM_THREADS", "0")
+    # Mesa compiles shaders faster without optimization, and they run for a short time only.
+    os.environ.setdefault("GALLIVM_PERF", "nopt")
     # Threads of linear algebra wait for each other in a loop, which takes up to five times the
     # processor time of one thread.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -60,6 +63,7 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     compute_thread.submit(lambda: numba.set_num_threads(1)).result()
 
 count_new(Dock, "docks")
+enable_menus_of_windows_only()
 
 _NO_DISPLAY = sys.platform == "linux" and not (
     os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")

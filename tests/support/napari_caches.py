@@ -83,6 +83,21 @@ def check_callbacks_once():
 
 
 @cache
+def enable_menus_of_windows_only():
+    """Make napari update what enables its menus only while a window is open."""
+    from napari._app_model.context._context_keys import ContextNamespace
+
+    update = ContextNamespace.update
+
+    def update_of_window(namespace, event):
+        qt_window = sys.modules.get("napari._qt.qt_main_window")
+        if qt_window is not None and qt_window._QtMainWindow._instances:
+            update(namespace, event)
+
+    ContextNamespace.update = update_of_window
+
+
+@cache
 def set_sliders_once():
     """Make napari check its sliders only if they change, and not for each new layer."""
     from napari.components import Dims
