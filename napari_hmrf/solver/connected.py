@@ -129,13 +129,16 @@ def connected(problem: Problem, prior: Prior | None) -> Connected:
         of_components = (found,) * axes
         bridges = 0 if found is None else found.bridges
     sites, block = ("voxels", "2 x 2 x 2") if axes == 3 else ("pixels", "2 x 2")
+    where, there = f"in no {block} block of tissue", "of such a block"
+    if isinstance(prior, SeilerPrior):
+        where, there = "in no clique for a component of its motion", "in such a clique"
     notes = []
     if any(each is not None for each in of_components):
         solved, moved = _with_moved_observations(solved, of_components, acts)
         if moved:
             notes.append(
-                f"{_count(moved, sites)} in no {block} block of tissue, so the nearest "
-                f"{sites[:-1]} of such a block takes the observation"
+                f"{_count(moved, sites)} {where}, so the nearest {sites[:-1]} {there} takes the "
+                "observation"
             )
         solved = _with_moved_forces(solved, of_components[0])
     if bridges:
