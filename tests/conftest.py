@@ -50,8 +50,6 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     # own, or use all threads explicitly. A rasterizer thread in Mesa 22.3 crashed, rarely, on a
     # busy machine.
     os.environ.setdefault("LP_NUM_THREADS", "0")
-    # Mesa compiles shaders faster without optimization, and they run for a short time only.
-    os.environ.setdefault("GALLIVM_PERF", "nopt")
     # Threads of linear algebra wait for each other in a loop, which takes up to five times the
     # processor time of one thread.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
