@@ -41,7 +41,6 @@ from napari_hmrf.solver.uncertain_landmarks import Landmarks, are_outside
 from napari_hmrf.solver.volume_memory import REGISTRATION, require_memory
 from napari_hmrf.study.ground import Ground, solve_statement
 from napari_hmrf.study.study import Grid, Study, Tissue
-from napari_hmrf.tissue.drawing import Drawing
 
 Float64Array = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -192,7 +191,7 @@ def register_files(
     frame, unit = None if place is None else place.as_dict(), pair.study.grid.unit
     found = replace(found, solution=replace(found.solution, frame=frame, unit=unit))
     report(Monitor("solving the study", _REGISTERED))
-    study = _study_of(case, pair, found, marks)
+    study = _study_of(case, pair, found)
     solution = solve_statement(study, Ground.of(study).statement())
     notes = [*pair.notes, *_notes_on(found, solution, pair, marks)]
     report(Monitor("writing the results", 1.0))
@@ -525,9 +524,7 @@ def _in_pixels(
     return at[:, -n:]
 
 
-def _study_of(
-    case: RegistrationCase, pair: _Pair, found: Registration, marks: Landmarks | None
-) -> Study:
+def _study_of(case: RegistrationCase, pair: _Pair, found: Registration) -> Study:
     """Return a study that moves tissue as the registration does."""
     measured = found.motion().measured
     assert measured is not None
@@ -539,10 +536,6 @@ def _study_of(
         "similarity": found.similarity,
     }
     motion = replace(found.motion(), measured=replace(measured, record=record))
-    if marks is not None:
-        sd = marks.sd.reshape(len(marks.points), -1)[:, 0]
-        drawing = Drawing.from_landmarks(marks.points, marks.targets, radius=1.0, sd=sd)
-        motion = replace(motion, drawing=drawing)
     names = {**pair.study.names, "registration": case.moving.name}
     return replace(pair.study, motion=motion, prior=found.prior, names=names)
 

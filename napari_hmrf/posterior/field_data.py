@@ -20,19 +20,23 @@ _TOLERANCES = (1e-4, 0.01)
 
 
 class FieldData:
-    """Measured displacements, in units of their standard deviations."""
+    """Measured displacements, in units of their standard deviations.
+
+    `seen` is True where a component was measured, shape (H, W, 2) or (D, H, W, 3); `values` and
+    `sd` belong to these components.
+    """
 
     def __init__(
         self,
-        sites: npt.NDArray[np.bool_],
+        seen: npt.NDArray[np.bool_],
         values: Float64Array,
         sd: Float64Array,
         landmarks: Landmarks | None,
         spacing: tuple[float, ...],
     ) -> None:
-        self._sites, self._values, self._sd = sites, values, sd
+        self._seen, self._values, self._sd = seen, values, sd
         self._landmarks, self._spacing = landmarks, spacing
-        sds = [sd.ravel()] if sites.any() else []
+        sds = [sd] if seen.any() else []
         if landmarks is not None:
             sds.append(landmarks.sd.ravel())
         self.least_sd = float(min(each.min() for each in sds))
@@ -64,17 +68,21 @@ class FieldData:
         if spread.shape not in ((), grid) or not (np.isfinite(spread) & (spread > 0)).all():
             raise ProblemError("sd", f"is not a positive length, or an array of shape {grid}.")
         free = problem.tissue & ~problem.known.all(axis=-1)
-        sites = free & np.isfinite(field).all(axis=-1)
-        if measured is not None and not sites.any():
+        if np.isinf(field).any():
+            raise ProblemError(
+                "measured", "is infinite at some sites. Pass NaN where it is unknown."
+            )
+        seen = free[..., np.newaxis] & ~np.isnan(field)
+        if measured is not None and not seen.any():
             raise ProblemError("measured", "has no values in tissue that is free to move.")
         if landmarks is not None:
             landmarks.check(problem.stiffness, problem.spacing)
-        spread = np.broadcast_to(spread, grid)[sites][:, np.newaxis]
-        return cls(sites, field[sites], spread, landmarks, problem.spacing)
+        spread = np.broadcast_to(spread[..., np.newaxis], field.shape)[seen]
+        return cls(seen, field[seen], spread, landmarks, problem.spacing)
 
     def misfit(self, displacement: npt.NDArray[Any]) -> Float64Array:
         """Return the differences from the measured motion, in standard deviations."""
-        parts = [((displacement[self._sites] - self._values) / self._sd).ravel()]
+        parts = [(displacement[self._seen] - self._values) / self._sd]
         if self._landmarks is not None:
             observed = self._landmarks.displacement(self._spacing)
             found = interpolated(displacement, self._landmarks.points) - observed
@@ -83,7 +91,7 @@ class FieldData:
 
     def derivative(self, displacement: npt.NDArray[Any], response: Float64Array) -> Float64Array:
         """Return the derivatives of the differences, which are the same at any displacement."""
-        parts = [(response[self._sites] / self._sd).ravel()]
+        parts = [response[self._seen] / self._sd]
         if self._landmarks is not None:
             found = interpolated(response, self._landmarks.points)
             parts.append((found / self._landmarks.sd).ravel())
@@ -112,7 +120,7 @@ class FieldData:
     def pull(self, differences: Float64Array, field: npt.NDArray[Any]) -> Float64Array:
         """Return the forces on sites that are the transpose of `derivative`, without landmarks."""
         forces = np.zeros(field.shape)
-        forces[self._sites] = differences.reshape(self._values.shape) / self._sd
+        forces[self._seen] = differences / self._sd
         return forces
 
     def tolerance(self, problem: Problem) -> float:

@@ -161,9 +161,9 @@ def fit(
     labels : array_like of int, shape (H, W) or (D, H, W)
         Label of each site; the tissue of a label has one value of each fitted property.
     measured : array_like, shape (H, W, 2) or (D, H, W, 3), optional
-        Measured displacement in the unit of `spacing`; NaN where it is unknown. Do not pass the
-        result of a registration or of `solve` with an elastic model: it would return the stiffness
-        that was assumed there.
+        Measured displacement in the unit of `spacing`; NaN where a component is unknown. Do not
+        pass the result of a registration or of `solve` with an elastic model: it would return the
+        stiffness that was assumed there.
     sd : float or array_like, shape (H, W) or (D, H, W), optional
         Standard deviation of each component of the measured displacement, whose errors at different
         sites are taken to be independent. Required with `measured`.

@@ -211,6 +211,7 @@ def registered(
         matrix=matrix,
         moving_spacing=moving_spacing,
         observed=found.images.observed,
+        landmarks=problem.landmarks,
         precision=found.images.precision,
         residual=found.residual,
         similarity_before=found.similarity_before,

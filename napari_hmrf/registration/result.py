@@ -17,8 +17,10 @@ from napari_hmrf.registration.matching import Step
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.problem import as_numbers
 from napari_hmrf.solver.solution import Solution
+from napari_hmrf.solver.uncertain_landmarks import Landmarks
 from napari_hmrf.study.measured_motion import MeasuredMotion
 from napari_hmrf.study.study import Motion
+from napari_hmrf.tissue.drawing import Drawing
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -53,6 +55,8 @@ class Registration:
         Record of each step.
     prior : ElasticPrior
         Prior of the tissue.
+    landmarks : Landmarks or None
+        Landmarks that the motion follows, too.
     """
 
     solution: Solution
@@ -66,6 +70,7 @@ class Registration:
     sd: float
     history: tuple[Step, ...]
     prior: ElasticPrior
+    landmarks: Landmarks | None = None
 
     def __repr__(self) -> str:
         return (
@@ -151,12 +156,16 @@ class Registration:
         return resampled
 
     def motion(self) -> Motion:
-        """Return the motion of a study that moves the tissue as the images do.
+        """Return the motion of a study that moves the tissue as the images and landmarks do.
 
         The study may be edited: tissue that is pulled, held or made rigid moves the tissue around
         it, as far as the images allow.
         """
-        return Motion(measured=MeasuredMotion(self.observed, self.precision))
+        drawing, marks = Drawing(), self.landmarks
+        if marks is not None:
+            sd = marks.sd.reshape(len(marks.points), -1)[:, 0]
+            drawing = Drawing.from_landmarks(marks.points, marks.targets, radius=1.0, sd=sd)
+        return Motion(measured=MeasuredMotion(self.observed, self.precision), drawing=drawing)
 
     def _in_moving(self, pixels: Float64Array) -> Float64Array:
         """Convert positions in pixels of the fixed image to pixels of the moving image."""

@@ -113,9 +113,10 @@ def test_landmarks_alone_give_the_growth_of_a_tumour():
     assert low < 0.3 < high < 0.4
 
 
-def test_missing_values_do_not_count():
+@pytest.mark.parametrize("missing", [np.s_[10:20, 20:30], np.s_[..., 1]])
+def test_missing_values_do_not_count(missing):
     seen = SEEN.copy()
-    seen[10:20, 20:30] = np.nan
+    seen[missing] = np.nan
     found = fit(UNIFORM, LABELS, measured=seen, sd=SD, stiffness=[2, 3, 4], prior=ElasticPrior(NU))
     assert found.stiffness[4].interval[0] < TRUE[4] < found.stiffness[4].interval[1]
 
@@ -138,6 +139,7 @@ def test_intervals_are_longer_if_the_model_does_not_explain_the_motion(found):
         ({"growth": [2], "measured": None}, "measured: is missing"),
         ({"growth": [2], "measured": np.zeros((3, 3, 2))}, "has shape"),
         ({"growth": [2], "measured": np.full((SIZE, SIZE, 2), np.nan)}, "no values in tissue"),
+        ({"growth": [2], "measured": np.full((SIZE, SIZE, 2), np.inf)}, "is infinite"),
         ({"stiffness": [2], "sd": 100.0}, "hardly depends on the stiffness of label 2"),
     ],
 )

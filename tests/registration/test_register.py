@@ -12,6 +12,7 @@ from napari_hmrf import (
     Grid,
     ProblemError,
     Study,
+    Tissue,
     read_study,
     replay,
     solve_study,
@@ -192,6 +193,9 @@ def test_landmarks_move_tissue_that_the_images_do_not_show():
     found = register(before, before, spacing=1, landmarks=marks)
     assert np.allclose(found.solution.at(points)[:, 1], 3, atol=0.5)
     assert np.abs(found.displacement[20:-20, 10:35]).max() < 0.5
+    grid = Grid((SIZE, SIZE), 1)
+    study = Study(grid, Tissue(stiffness=np.ones(grid.shape)), found.motion(), prior=found.prior)
+    assert np.allclose(solve_study(study).at(points), found.solution.at(points), atol=0.05)
 
 
 def test_violent_motion_does_not_fold():
