@@ -69,7 +69,8 @@ class Measurement(NamedTuple):
         Area, or volume, before the motion, in the squared, or cubed, unit of the spacing.
     size_change : float
         Change in the area or volume, in per cent, computed from the cells between sites. Each cell
-        counts towards the tissues at its corners; inverted cells have negative size.
+        counts towards the tissues at its corners; inverted cells have negative size. A site in no
+        cell counts with its own Jacobian, as much as a site with all its cells.
     mean_displacement, largest_displacement : float
         Mean and largest length of the displacement, in the unit of the spacing.
     mean_strain, largest_strain : float
