@@ -22,7 +22,7 @@ from qtpy.QtWidgets import (
 
 from napari_hmrf.field.directions import Directions
 from tests.support.docks import dock_in, quick
-from tests.support.screen import Screen
+from tests.support.screen import Screen, activate
 
 _CONTROLS = (
     QAbstractButton,
@@ -53,17 +53,6 @@ def dock(frame, small_sample, at_rest, wait_for):
     activate(window, wait_for)
     at_rest.until(lambda: not made.busy)
     return made
-
-
-def activate(window, wait_for):
-    """Give a window the keyboard, and again if a window of another test process takes it."""
-
-    def is_active():
-        if not window.isActiveWindow():
-            window.activateWindow()
-        return window.isActiveWindow()
-
-    wait_for(is_active)
 
 
 def open_sections(dock):
