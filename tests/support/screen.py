@@ -118,17 +118,6 @@ def head(table, column):
     return table.model().headerData(column, Qt.Orientation.Horizontal)
 
 
-def activate(window, wait_for):
-    """Give a window the keyboard, and again if a window of another test process takes it."""
-
-    def is_active():
-        if not window.isActiveWindow():
-            window.activateWindow()
-        return window.isActiveWindow()
-
-    wait_for(is_active)
-
-
 class Cell:
     """Cell of a table, which can be read, clicked and edited."""
 

@@ -22,7 +22,7 @@ from qtpy.QtWidgets import (
 
 from napari_hmrf.field.directions import Directions
 from tests.support.docks import dock_in, quick
-from tests.support.screen import Screen, activate
+from tests.support.screen import Screen
 
 _CONTROLS = (
     QAbstractButton,
@@ -41,7 +41,7 @@ _VISIBLE = 60
 
 
 @pytest.fixture
-def dock(frame, small_sample, at_rest, wait_for):
+def dock(frame, small_sample, at_rest):
     """Return a dock with all sections open, beside a volume and landmarks."""
     small_sample(frame.viewer, (4, 20, 24))
     frame.viewer.add_points(np.zeros((2, 3)), name="Marks")
@@ -50,7 +50,9 @@ def dock(frame, small_sample, at_rest, wait_for):
     open_sections(made)
     window = made.native.window()
     window.resize(*_SIZE)
-    activate(window, wait_for)
+    # The frame may not get the keyboard of the screen after windows of other tests.
+    QApplication.setActiveWindow(window)
+    assert window.isActiveWindow()
     at_rest.until(lambda: not made.busy)
     return made
 
@@ -169,7 +171,8 @@ def test_the_keyboard_focus_is_visible_in_the_themes_of_napari(
     at_rest.until(lambda: not dock.busy)
     window, header = dock.native.window(), Screen(dock).button("Advanced")
     window.resize(1000, _SIZE[1])
-    activate(window, wait_for)
+    window.activateWindow()
+    wait_for(window.isActiveWindow)
     for theme in ("dark", "light"):
         viewer.theme = theme
         for control in controls_of(dock):

@@ -35,7 +35,7 @@ from napari_hmrf.tissue.drawing.patch_motion import PatchMotion
 from napari_hmrf.ui.soft_tissue import SoftTissue
 from tests.support.docks import dock_in
 from tests.support.long_work import long_work
-from tests.support.screen import Screen, activate
+from tests.support.screen import Screen
 from tests.support.timeouts import LONG, LONG_MS
 from tests.support.windowless import Touch
 
@@ -331,7 +331,7 @@ def test_only_the_window_with_edits_asks_and_quitting_asks_before_any_window_clo
     first.drawing = DRAWING
     viewer = make_napari_viewer(show=True)
     other = viewer.window._qt_window
-    activate(other, wait_for)
+    other.activateWindow()
     wait_for(lambda: QApplication.focusWindow() is other.windowHandle())
     asked = Answers(first, "cancel", "discard")
     other.close(quit_app=True)
