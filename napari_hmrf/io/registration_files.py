@@ -526,8 +526,8 @@ def _in_pixels(
 
 def _study_of(case: RegistrationCase, pair: _Pair, found: Registration) -> Study:
     """Return a study that moves tissue as the registration does."""
-    measured = found.motion().measured
-    assert measured is not None
+    motion = found.motion()
+    assert motion.measured is not None
     record = {
         "second image": stem_of(case.moving),
         "alignment": case.alignment or "",
@@ -535,7 +535,7 @@ def _study_of(case: RegistrationCase, pair: _Pair, found: Registration) -> Study
         "before": found.similarity_before,
         "similarity": found.similarity,
     }
-    motion = replace(found.motion(), measured=replace(measured, record=record))
+    motion = replace(motion, measured=replace(motion.measured, record=record))
     names = {**pair.study.names, "registration": case.moving.name}
     return replace(pair.study, motion=motion, prior=found.prior, names=names)
 

@@ -67,11 +67,11 @@ class FieldData:
         spread = np.array(1.0 if sd is None else as_numbers("sd", sd), dtype=np.float64)
         if spread.shape not in ((), grid) or not (np.isfinite(spread) & (spread > 0)).all():
             raise ProblemError("sd", f"is not a positive length, or an array of shape {grid}.")
-        free = problem.tissue & ~problem.known.all(axis=-1)
         if np.isinf(field).any():
             raise ProblemError(
                 "measured", "is infinite at some sites. Pass NaN where it is unknown."
             )
+        free = problem.tissue & ~problem.known.all(axis=-1)
         seen = free[..., np.newaxis] & ~np.isnan(field)
         if measured is not None and not seen.any():
             raise ProblemError("measured", "has no values in tissue that is free to move.")

@@ -94,8 +94,7 @@ def _observed(problem: Problem) -> npt.NDArray[np.bool_]:
         return problem.known
     acts = data.weights[: data.axes] > 0
     if data.points is not None:
-        of_axes = zip(acts.reshape(data.axes, -1), data.points.weights > 0, strict=True)
-        for components, is_seen in of_axes:
-            components[data.points.corners[is_seen]] = True
+        corners, precision = data.points.lumped()
+        acts.reshape(data.axes, -1)[:, corners] |= precision > 0
     observed: npt.NDArray[np.bool_] = problem.known | host.field(acts)
     return observed

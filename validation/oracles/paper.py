@@ -241,6 +241,16 @@ def prolonged(
     return np.divide(moved, total, out=np.zeros_like(moved), where=is_reached)
 
 
+def start(
+    m: npt.NDArray[Any], above: tuple[npt.NDArray[Any], npt.NDArray[Any]] | None, kind: type
+) -> npt.NDArray[Any]:
+    """Return the displacement with which a level starts: 0 on the coarsest level.
+
+    `above` is the displacement and the stiffness of the coarser level, or None.
+    """
+    return np.zeros((*m.shape, m.ndim), kind) if above is None else prolonged(*above, m)
+
+
 def best_candidates(energies: Callable[[Array], Array], d: Array, gamma: npt.NDArray[Any]) -> Array:
     """Return `d` after the first move of least energy of each site."""
     least, best = np.full(d.shape[:-1], np.inf), d
@@ -261,18 +271,17 @@ def schedule(problem: Problem, iterations: int) -> Array:
     prior = SeilerPrior()
     gamma = candidates(ICM().steps or (), len(problem.shape))
     penalty = prior.penalty_for(problem)
-    d = above = None
+    above: tuple[Array, Array] | None = None
+    d = np.zeros(())
     for level in reversed(levels(problem.shape)):
         at = np.ix_(*nearest_pixels(level, problem.shape))
         y, c, m = (each[at] for each in (problem.observed, problem.confidence, problem.stiffness))
-        here = np.zeros(y.shape) if d is None or above is None else prolonged(d, above, m)
+        d = start(m, above, np.float64)
         for _ in range(iterations):
-            moved = best_candidates(
-                local_energies(m, y, penalty * c, here, problem.spacing), here, gamma
-            )
-            here = np.where((m > 0)[..., None], moved, 0)
-        d, above = here, m
-    return np.asarray(d)
+            energies = local_energies(m, y, penalty * c, d, problem.spacing)
+            d = np.where((m > 0)[..., None], best_candidates(energies, d, gamma), 0)
+        above = d, m
+    return d
 
 
 @_compiled
@@ -334,17 +343,14 @@ def solve_literally(
     finest_m = np.asarray(problem.stiffness / problem.stiffness.max())
     finest_y = problem.observed / _f(problem.unit)
     finest_p = _f(prior.penalty_for(problem)) * problem.confidence
-    coarse = coarse_m = None
+    above: tuple[npt.NDArray[Any], npt.NDArray[Any]] | None = None
     for level in reversed(levels(problem.shape)):
         at = np.ix_(*nearest_pixels(level, problem.shape))
         m, y, p = (np.ascontiguousarray(image[at]) for image in (finest_m, finest_y, finest_p))
-        if coarse is None or coarse_m is None:
-            d = np.zeros((*level.shape, 2), dtype=np.float32)
-        else:
-            d = prolonged(coarse, coarse_m, m)
+        d = start(m, above, np.float32)
         target = np.zeros_like(d)
         for _ in range(optimizer.iterations):
             _sweep(m, y, p, d, target, gamma)
             d, target = target, d
-        coarse, coarse_m = d, m
+        above = d, m
     return d * _f(problem.unit)

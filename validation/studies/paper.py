@@ -32,7 +32,7 @@ from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.quadtree import levels, nearest_pixels
 from validation.bodies import bar
 from validation.oracles.elasticity import assemble, direct_solution
-from validation.oracles.paper import equations, prolonged, solve_exactly, solve_literally
+from validation.oracles.paper import equations, solve_exactly, solve_literally, start
 from validation.study import (
     COLOURS,
     Options,
@@ -345,17 +345,13 @@ def icm_sweeps(problem: Problem, truth: npt.NDArray[np.float64], count: int) -> 
     list of float
         Number of sweeps of each level, finest first, in units of sweeps over the finest level.
     """
-    coarse = coarse_m = None
+    above: tuple[npt.NDArray[Any], npt.NDArray[Any]] | None = None
     spent = []
     for level in reversed(levels(problem.shape)[:count]):
         at = np.ix_(*nearest_pixels(level, problem.shape))
         m, y = (np.ascontiguousarray(field[at]) for field in (problem.stiffness, problem.observed))
         held = np.ascontiguousarray(problem.confidence[at]) > 0
-        if coarse is None or coarse_m is None:
-            d = np.zeros((*level.shape, 2), dtype=np.float32)
-        else:
-            d = prolonged(coarse, coarse_m, m)
-        d = np.where(held, y, d).astype(np.float64)
+        d = np.where(held, y, start(m, above, np.float32)).astype(np.float64)
         matrix = equations(m, (1.0, 1.0), "centred")
         free = ~held.ravel() & (matrix.diagonal() > 0)
         rows, diagonal, moved = matrix[free], matrix.diagonal()[free], d.reshape(-1)
@@ -369,7 +365,7 @@ def icm_sweeps(problem: Problem, truth: npt.NDArray[np.float64], count: int) -> 
             if not finest and np.abs(change).max(initial=0.0) <= _STILL:
                 break
         spent.append(sweeps * level.sites / problem.stiffness.size)
-        coarse, coarse_m = d.astype(np.float32), m
+        above = d.astype(np.float32), m
     return spent[::-1]
 
 

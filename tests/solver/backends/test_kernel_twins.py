@@ -21,6 +21,7 @@ from napari_hmrf.solver.backends.opengl.programs import regions
 from napari_hmrf.solver.priors import line_weights
 from napari_hmrf.solver.quadtree import levels, nearest_pixels
 from tests.support.opengl import on_compute_thread, require_opengl
+from validation.oracles.paper import candidates
 
 STEPS = (1.0, 0.1, 0.01, 0.001)
 PENALTY = 1e3
@@ -172,13 +173,12 @@ def test_a_site_takes_the_best_candidate_in_shaders_and_loops(
     def local_energy(d):
         return (curvature * (d - lowest) ** 2 + p * np.abs(d - y)).sum(axis=-1)
 
-    ways = (-1, 0, 1)
-    moves = [e * np.array([row, col]) for e in STEPS for row in ways for col in ways]
-    candidates = np.array([local_energy(given.displacement + move) for move in moves])
+    moves = candidates(STEPS).astype(float)
+    energies = np.array([local_energy(given.displacement + move) for move in moves])
     scale = local_energy(given.displacement) + 1e-30
     for moved in (loops[0], shaders[0]):
         # Either of two candidates that are equal up to rounding may be taken.
-        worse = local_energy(moved.astype(float)) - candidates.min(axis=0)
+        worse = local_energy(moved.astype(float)) - energies.min(axis=0)
         assert (worse / scale).max() < 1e-5
         off_grid = [np.abs(moved - given.displacement - move).max(axis=-1) for move in moves]
         assert np.min(off_grid, axis=0).max() < 1e-6
