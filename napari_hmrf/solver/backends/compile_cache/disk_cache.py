@@ -20,6 +20,8 @@ _PACKAGE = "napari_hmrf"
 #: Package that contains the loops of the solver, and its folder.
 _SOLVER = f"{_PACKAGE}.solver.backends.cpu"
 _LOOPS = Path(__file__).parents[1] / "cpu"
+#: Texts of which each file with compiled functions contains one: modules of their decorators.
+_SOURCES_OF_DECORATORS = b"numba", b"cpu.compiled"
 #: Modules of loops that warp pictures.
 PICTURES = (f"{_PACKAGE}.field.interpolation", f"{_PACKAGE}.field.triangle_raster")
 #: Environment variable that sets numba's cache folder.
@@ -49,8 +51,12 @@ def modules() -> tuple[str, ...]:
 
 
 def _files(folder: Path) -> list[Path]:
-    """Return the source files in a folder that contain loops."""
-    return [path for path in sorted(folder.glob("*.py")) if b"numba" in path.read_bytes()]
+    """Return the source files in a folder that contain loops, or functions that loops call."""
+    return [
+        path
+        for path in sorted(folder.glob("*.py"))
+        if any(source in path.read_bytes() for source in _SOURCES_OF_DECORATORS)
+    ]
 
 
 @cache

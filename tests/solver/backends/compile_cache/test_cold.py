@@ -4,6 +4,7 @@ import errno
 import importlib.util
 import json
 import os
+import pkgutil
 import queue
 import subprocess
 import sys
@@ -14,7 +15,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from numba.core.dispatcher import Dispatcher
 
+import napari_hmrf.field
+import napari_hmrf.solver
 from napari_hmrf import (
     ICM,
     BackendError,
@@ -316,14 +320,34 @@ def cleared_caches():
         each.cache_clear()
 
 
-@pytest.mark.parametrize("module", disk_cache.modules())
-def test_an_edit_of_any_module_with_loops_changes_the_mark(module, cleared_caches, monkeypatch):
+def modules_with_compiled_functions():
+    """Return the names of the modules of the solver and of fields that define such functions."""
+    names = {
+        found.name
+        for package in (napari_hmrf.solver, napari_hmrf.field)
+        for found in pkgutil.walk_packages(package.__path__, f"{package.__name__}.")
+    }
+    functions = (
+        getattr(value, "compiled", value)
+        for name in sorted(names)
+        for value in vars(importlib.import_module(name)).values()
+    )
+    return names & {each.__module__ for each in functions if isinstance(each, Dispatcher)}
+
+
+def test_an_edit_of_any_module_with_loops_changes_the_mark(cleared_caches, monkeypatch):
     before, read = disk_cache.mark().name, Path.read_bytes
-    edited = Path(importlib.util.find_spec(module).origin)
-    monkeypatch.setattr(Path, "read_bytes", lambda path: read(path) + b"#" * (path == edited))
-    disk_cache._key.cache_clear()
-    disk_cache.sources.cache_clear()
-    assert disk_cache.mark().name != before
+    modules = modules_with_compiled_functions()
+    assert modules <= set(disk_cache.modules())
+    for module in modules:
+        edited = Path(importlib.util.find_spec(module).origin)
+        with monkeypatch.context() as changed:
+            changed.setattr(
+                Path, "read_bytes", lambda path, edited=edited: read(path) + b"#" * (path == edited)
+            )
+            disk_cache._key.cache_clear()
+            disk_cache.sources.cache_clear()
+            assert disk_cache.mark().name != before, module
 
 
 def test_optimised_python_uses_separate_marks():
