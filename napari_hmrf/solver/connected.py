@@ -8,7 +8,9 @@ Elastic tissue moves the sites of its elements. In the paper's model, a componen
 equation if the site is in a clique that contributes to this component. A clique of the centred
 reading determines its middle site only, so the end of a line that is one site wide has no equation,
 although it is in a clique. In this reading, such lines therefore follow as a whole, and leave the
-solve, unless they are observed.
+solve, unless they are observed. The tissue beside a component that is in no clique meets it at
+rest, so its derivatives mean nothing there: such a component of a site in a block follows the mean
+of the tissue near it.
 """
 
 from __future__ import annotations
@@ -187,8 +189,11 @@ def _of_cliques(
         whole = around_sites(elements, np.logical_or)
         of_components = []
         for each in cliques:
-            joined = each if blanket else each & whole
-            of_components.append(find_followers(tissue, joined, joined if blanket else elements))
+            if blanket:
+                found = find_followers(tissue, each, each)
+            else:
+                found = find_followers(tissue, each & whole, elements, of_mean=whole)
+            of_components.append(found)
         return cliques, tuple(of_components)
 
     kind = "cliques", blanket, problem.spacing

@@ -168,6 +168,20 @@ def held_at_left(mask, **more):
     )
 
 
+def test_the_component_across_a_thin_arm_of_the_paper_stays_within_the_range_of_its_tissue():
+    slab, arm = np.zeros((2, 14, 24), bool)
+    slab[1:13, 1:11] = arm[6:8, 11:21] = True
+    problem = Problem(
+        stiffness=slab | arm,
+        observed=np.where(slab[..., None], [1.0, 0.0], 0),
+        confidence=np.repeat(slab[..., None], 2, axis=-1).astype(float),
+    )
+    across = solve(problem, SeilerPrior(), optimizer=TIGHT, backend="cpu").displacement[arm, 0]
+    assert across.min() > -1e-3
+    assert across.max() < 1 + 1e-3
+    assert across[-1] > 0.5
+
+
 def test_the_tip_of_a_spur_carries_its_force_and_moment_to_the_tissue():
     mask, tip = block_with_spur()
     force = np.zeros((*mask.shape, 2))
