@@ -26,7 +26,7 @@ from unittest.mock import patch
 
 import numpy as np
 
-from benchmarks.clock import now, resident_bytes, since
+from benchmarks.clock import MemoryGrowth, now, since
 from benchmarks.table import markdown
 from napari_hmrf import ElasticPrior, LiveSolver, Multigrid, Problem, SeilerPrior, Solution, solve
 from napari_hmrf.errors import Cancelled, ConvergenceError, HmrfError, ProblemError
@@ -629,11 +629,12 @@ def run(
     options = f"{name} --seed {seed}" + ("" if backend == "cpu" else f" --backend {backend}")
     begun, last, plan = now(), 0.0, list(numbers)
     verdicts: list[tuple[int, Verdict]] = []
-    memory = [resident_bytes() / 1e6]
+    memory = MemoryGrowth(warm_up=1 + len(plan) // 10)
+    memory.measure()
     for done, number in enumerate(plan, start=1):
         new = [(number, verdict) for verdict in CAMPAIGNS[name].judge(seed, number, backend)]
         verdicts += new
-        memory.append(resident_bytes() / 1e6)
+        memory.measure()
         for _, verdict in new if loud else ():
             if verdict.is_fault or len(plan) == 1:
                 print(_line(number, verdict, options), file=sys.stderr, flush=True)
@@ -641,9 +642,7 @@ def run(
         if loud and seconds - last > 10:
             last = seconds
             print(f"{name}: {done} of {len(plan)}, {seconds:.0f} s", file=sys.stderr)
-    tenth = len(memory) // 10
-    grown = max(memory[tenth:]) - memory[tenth]
-    return Run(name, options, verdicts, since(begun).wall, grown)
+    return Run(name, options, verdicts, since(begun).wall, memory.megabytes)
 
 
 def report(of: Run, most: int = 10) -> str:

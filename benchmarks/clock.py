@@ -143,9 +143,29 @@ def peak_megabytes(begin: bool = False) -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _MEGABYTES
 
 
-def resident_bytes() -> int:
-    """Return the memory of this process at present, in bytes."""
-    return int(psutil.Process().memory_info().rss)
+class MemoryGrowth:
+    """Memory of this process after each of many steps.
+
+    Parameters
+    ----------
+    warm_up : int
+        Number of first steps whose growth does not count.
+    """
+
+    def __init__(self, warm_up: int) -> None:
+        self._left, self._start, self._most = warm_up, 0, 0
+
+    def measure(self) -> None:
+        """Note the memory after a step."""
+        size = int(psutil.Process().memory_info().rss)
+        if self._left > 0:
+            self._left, self._start, self._most = self._left - 1, size, size
+        self._most = max(self._most, size)
+
+    @property
+    def megabytes(self) -> float:
+        """Largest memory since the end of the warm-up, above the memory at its end, in MB."""
+        return (self._most - self._start) / 1e6
 
 
 def peak_of_programs() -> float:

@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.clock import resident_bytes, timed
+from benchmarks.clock import MemoryGrowth, timed
 from napari_hmrf import (
     Arrow,
     Drawing,
@@ -513,7 +513,7 @@ def read_damaged(trial: tuple[str, int, int]) -> Findings:
     kind = KINDS[name]
     is_archive = kind.kept.save is not None
     outcomes, longest, peak = Counter[str](), 0.0, 0
-    start, most = 0, 0
+    memory = MemoryGrowth(_WARM_UP)
     with tempfile.TemporaryDirectory() as folder:
         whole = Path(folder, f"whole{kind.suffix}")
         kind.make(whole)
@@ -535,12 +535,11 @@ def read_damaged(trial: tuple[str, int, int]) -> Findings:
                 peak = max(peak, tracemalloc.get_traced_memory()[1])
                 tracemalloc.stop()
             path.unlink()
-            size = resident_bytes()
-            start, most = (size, size) if number < _WARM_UP else (start, max(most, size))
+            memory.measure()
             outcomes[outcome] += 1
     counts = [outcomes[each] for each in _OUTCOMES]
-    memory = (None, peak / 1e6) if is_archive else ((most - start) / 1e6, None)
-    return Findings(name, *counts, longest, *memory)
+    found = (None, peak / 1e6) if is_archive else (memory.megabytes, None)
+    return Findings(name, *counts, longest, *found)
 
 
 def _outcome(look_at: Callable[[], str], what: str) -> str:

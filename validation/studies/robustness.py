@@ -43,7 +43,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.clock import now, resident_bytes, since, timed
+from benchmarks.clock import MemoryGrowth, now, since, timed
 from napari_hmrf import (
     Arrow,
     Drawing,
@@ -672,7 +672,7 @@ class Findings(NamedTuple):
     finished, cancelled, wrong : int
         Numbers of deformations, and of those with another result than the first.
     growth : float
-        Memory after the last solve minus memory after the tenth solve, in MiB.
+        Most memory after the tenth solve, above the memory then, in MB.
     longest_cancel : float
         Longest time until a cancelled solve had ended.
     threads_left, changed_pixels : int
@@ -701,7 +701,7 @@ def _limits(results: Results) -> Iterator[Target]:
     """Yield the targets."""
     for found in map(Findings._make, results.values()):
         yield Target("wrong results", found.wrong, 0)
-        yield Target("increase in memory after the tenth solve, MiB", found.growth, 5)
+        yield Target("increase in memory after the tenth solve, MB", found.growth, 5)
         yield Target("threads left", found.threads_left, 0)
         yield Target("changed pixels of the viewer's picture", found.changed_pixels, 0)
         yield Target("closing the viewer during a solve, s", found.closing, 2)
@@ -711,7 +711,7 @@ def _limits(results: Results) -> Iterator[Target]:
     "robustness.long-use",
     _plans,
     (
-        *("finished", "cancelled", "wrong", "increase in memory, MiB", "longest cancel, s"),
+        *("finished", "cancelled", "wrong", "increase in memory, MB", "longest cancel, s"),
         *("threads left", "changed pixels", "closing, s"),
     ),
     targets=_limits,
@@ -742,7 +742,7 @@ def long_use(plan: Plan) -> Findings:
     usual = timed(lambda: _deform(widget, turns[-1]))[1].wall
     ends = [True] * plan.solves + [False] * plan.cancels
     dice.shuffle(ends)
-    wrong, megabytes, cancels = 0, [], [0.0]
+    wrong, memory, cancels = 0, MemoryGrowth(warm_up=10), [0.0]
     for number, finish in enumerate(ends):
         turn = turns[number % len(turns)]
         camera.zoom = zoom * (1.001 if number % 2 else 1)  # force the canvas to redraw
@@ -756,7 +756,7 @@ def long_use(plan: Plan) -> Findings:
         QApplication.processEvents()
         if finish:
             gc.collect()
-            megabytes.append(resident_bytes() / 2**20)
+            memory.measure()
     camera.zoom = zoom
     _deform(widget, turns[-1])
     changed = picture != viewer.screenshot(canvas_only=True, flash=False)
@@ -768,7 +768,7 @@ def long_use(plan: Plan) -> Findings:
         finished=plan.solves,
         cancelled=plan.cancels,
         wrong=wrong,
-        growth=megabytes[-1] - megabytes[min(9, len(megabytes) - 1)],
+        growth=memory.megabytes,
         longest_cancel=max(cancels),
         threads_left=sum("hmrf" in thread.name for thread in after),
         changed_pixels=int(changed.any(axis=-1).sum()),
