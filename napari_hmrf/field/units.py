@@ -36,11 +36,9 @@ def unit_factor(unit: str, to: str) -> float:
     """
     if unit == to:
         return 1.0
-    import pint  # heavy: pint
-
     try:
         return float(_units().Quantity(1, unit).to(to).magnitude)
-    except pint.errors.PintError:
+    except Exception:  # noqa: BLE001 - pint raises errors of many types for invalid names
         return float("nan")
 
 

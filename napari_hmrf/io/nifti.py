@@ -35,6 +35,8 @@ _HEADER = np.dtype(
         "itemsize": 348,
     }
 )
+#: Largest position of the values that is no sign of damage, in bytes.
+_FARTHEST = 2**40
 #: Number of bytes decompressed at a time.
 _PIECE = 2**20
 #: First bytes of compressed content, and length of the header of NIfTI-2.
@@ -211,7 +213,7 @@ def not_finite(path: Path) -> npt.NDArray[np.floating] | None:
     """
     header = _header(path)
     code = None if header is None else _REAL.get(int(header["pixel"]))
-    if header is None or code is None:
+    if header is None or code is None or not _starts_in_file(header):
         return None
     order = ">" if header.dtype["length"].byteorder == ">" else "<"
     kind, start = np.dtype(order + code), int(header["start"])
@@ -228,6 +230,8 @@ def is_cut_short(path: Path) -> bool:
     header = _header(path)
     if header is None:
         return False
+    if not _starts_in_file(header):
+        return True
     needed = int(header["start"]) + _count(header) * int(header["bits"]) // 8
     if not _is_compressed(path):
         return bool(path.stat().st_size < needed)
@@ -276,6 +280,11 @@ def _header(path: Path) -> Any:
         if header["length"] == _HEADER.itemsize:
             return header
     return None
+
+
+def _starts_in_file(header: Any) -> bool:
+    """Return whether the values start at a position that a file may have; the number may be NaN."""
+    return bool(0 <= header["start"] < _FARTHEST)
 
 
 def _rotation(vector: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

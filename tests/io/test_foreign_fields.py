@@ -5,6 +5,7 @@ themselves if they are installed.
 """
 
 import gzip
+import math
 import struct
 
 import numpy as np
@@ -175,6 +176,16 @@ def test_the_error_for_a_flipped_bit_in_a_compressed_file_mentions_damage(tmp_pa
     content[-8] ^= 1  # A bit of the checksum; all bytes of the data are present.
     path.write_bytes(content)
     with pytest.raises(FileFormatError, match=r"it is damaged or truncated"):
+        read_field(path)
+
+
+@pytest.mark.parametrize("start", [-8.0, math.nan, 1e30])
+def test_a_field_whose_values_start_nowhere_is_refused(tmp_path, start):
+    path = tmp_path / "field.nii"
+    content = bytearray(nifti(FieldCase("slice"), by_matrix=True))
+    struct.pack_into("<f", content, 108, start)
+    path.write_bytes(content)
+    with pytest.raises(FileFormatError, match="it is damaged or truncated"):
         read_field(path)
 
 

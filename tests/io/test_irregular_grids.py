@@ -315,10 +315,11 @@ def test_points_of_slicer_are_read_in_their_unit(tmp_path, unit):
     path = tmp_path / "a.mrk.json"
     path.write_text(json.dumps({"markups": [markups]}))
     np.testing.assert_allclose(read_points(path).points, [[3, 2, 1]])
-    markups["coordinateUnits"] = "parsec per second"
-    path.write_text(json.dumps({"markups": [markups]}))
-    with pytest.raises(FileFormatError, match="unit"):
-        read_points(path)
+    for other in ("parsec per second", "mm(", "1/0"):
+        markups["coordinateUnits"] = other
+        path.write_text(json.dumps({"markups": [markups]}))
+        with pytest.raises(FileFormatError, match="unit"):
+            read_points(path)
 
 
 @pytest.mark.parametrize(

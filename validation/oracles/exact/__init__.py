@@ -96,6 +96,8 @@ def exact_field(
     strength : array_like, broadcast to (H, W, 2)
         Factor on the force of each observation, to test the sensitivity to it.
     """
+    if isinstance(prior, SeilerPrior):
+        prior = prior.resolved(problem)  # a default penalty is that of all tissue
     joined = connected(problem, prior)
     problem = joined.problem
     matrix = matrix_of(problem, prior)
