@@ -31,7 +31,7 @@ from napari_hmrf.ui import messages
 from napari_hmrf.ui.curve.curve_layer import CurveLayer
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.events import single_shot
-from napari_hmrf.ui.form_binding import FormBinding
+from napari_hmrf.ui.form_binding import FormBinding, NoImageError
 from napari_hmrf.ui.motion.pointer import Pointer
 from napari_hmrf.ui.paced_engine import PacedEngine
 from napari_hmrf.ui.solve_progress import SolveProgress
@@ -461,12 +461,11 @@ class Controller:
 
     def _report_failure(self, error: Exception) -> None:
         """Report why the tissue is not updated, and keep the last result."""
-        sentence = messages.in_short(error)
-        # Without a chosen image, there is no tissue to update.
-        self._failure = "" if sentence in (messages.WELCOME, messages.CHOOSE) else sentence
+        lacks_image = isinstance(error, NoImageError)  # then there is no tissue to update
+        self._failure = "" if lacks_image else messages.in_short(error)
         self.outdated.emit()
         self.chip.refresh()
-        self._emit_message(always=sentence == messages.WELCOME)
+        self._emit_message(always=lacks_image and not self._viewer.layers)
 
     def _clear_result(self) -> None:
         """Reset to the undeformed state, and discard the result."""

@@ -36,11 +36,10 @@ from napari_hmrf.ui.motion.motion_form import MotionForm
 from napari_hmrf.ui.motion.tools import TOOLS
 from napari_hmrf.ui.remembered_settings import remember_open
 from napari_hmrf.ui.result.result_form import ResultForm
+from napari_hmrf.ui.scene import NEW_TISSUE
 from napari_hmrf.ui.tissue_form import Layers, TissueSection
 from napari_hmrf.ui.tissue_tables import BoundaryTable, MaterialTable
 
-#: Labels of the button that adds the missing layers for painting.
-NEW_TISSUE, NEW_BOUNDARY = "New tissue layer", "New boundary layer"
 #: Title and tooltip of each section.
 _SECTIONS = {
     "tissue": (

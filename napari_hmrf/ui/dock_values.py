@@ -328,13 +328,13 @@ class DockValues(Dock):
     @property
     def status(self) -> str:
         """Status text of the dock."""
-        value: str = self._guide.shown
+        value: str = self._guide.scene.status
         return value
 
     @property
     def invitation(self) -> str:
         """Hint about the next step."""
-        value: str = self._guide.invitation
+        value: str = self._guide.situation.hint
         return value
 
     @property

@@ -10,6 +10,7 @@ from qtpy.QtWidgets import QHBoxLayout, QPushButton, QSizePolicy, QVBoxLayout, Q
 
 from napari_hmrf.layers.viewer_undo import ViewerUndo
 from napari_hmrf.ui.forms import ElidedButton, FixedText, row
+from napari_hmrf.ui.messages import DEFORM, LIVE_OFF, PRECISELY
 
 #: Number of lines of the status.
 _LINES = 2
@@ -27,16 +28,10 @@ _HELP = (
 #: update takes 0.4 s (elastic) to 1.4 s for 1200 x 1200 pixels, and 1.6 s to 5 s for 2048 x 2048
 #: pixels.
 LARGEST = 1200 * 1200
-_LIVE_OFF = (
-    "'Live' is off, because the image is larger than 1200 x 1200 pixels: after an edit without a "
-    "tool, press Deform, or tick 'Live'."
-)
 _LIVE = (
     "Update the result after every edit to tissue, boundary or tables. Tools always update it.\n"
     "Off by default above 1200 x 1200 pixels: without a graphics card, each edit takes seconds."
 )
-#: Labels of the button that solves from a cold start, without and with *Live*.
-DEFORM, PRECISELY = "Deform", "Solve precisely"
 
 
 class Footer(QWidget):
@@ -193,7 +188,7 @@ class LiveChoice(CheckBox):
     @property
     def reason(self) -> str:
         """Message if the box is off because the image is large, else ""."""
-        return "" if self._decided or self.value else _LIVE_OFF
+        return "" if self._decided or self.value else LIVE_OFF
 
     def _on_changed(self, _: bool) -> None:
         self._decided = True

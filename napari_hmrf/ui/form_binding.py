@@ -34,6 +34,10 @@ from napari_hmrf.ui.events import EventConnections
 from napari_hmrf.ui.messages import CHOOSE, EDGE_GOES, NOT_CHOSEN, WELCOME
 
 
+class NoImageError(HmrfError):
+    """There is neither an image nor tissue labels to deform."""
+
+
 class FormBinding:
     """Two-way binding between the dock's forms and the `StudyModel`.
 
@@ -133,7 +137,7 @@ class FormBinding:
 
         Raises
         ------
-        HmrfError
+        NoImageError
             If neither an image nor tissue labels are chosen.
         """
         if self.automatic:
@@ -141,7 +145,7 @@ class FormBinding:
         form, model, choice = self._form, self._model, self._model.choice
         image, tissue = form.image.value, choice.tissue_layer
         if image is None and (self._image_is_gone or not isinstance(tissue, Labels)):
-            raise HmrfError(CHOOSE if self._viewer.layers else WELCOME)
+            raise NoImageError(CHOOSE if self._viewer.layers else WELCOME)
         return Request.of(model, form.view())
 
     # Automatic choice of layers

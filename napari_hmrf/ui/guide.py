@@ -1,32 +1,29 @@
-"""Status text of the dock: results, errors, and hints about the next step."""
+"""Status text of the dock and its buttons: the scene of the dock, drawn after each event."""
 
 from __future__ import annotations
 
-from functools import partial
-from typing import Any, Literal
+from dataclasses import replace
+from typing import Any
 
 from napari_hmrf.layers.image_choice import image_covering
 from napari_hmrf.layers.line_of_sight import shows_volume
 from napari_hmrf.layers.viewer_layers import still_there
 from napari_hmrf.layers.viewer_undo import ViewerUndo
+from napari_hmrf.notes import kind_of
 from napari_hmrf.study.edit_history import Step
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.controller import Controller
 from napari_hmrf.ui.events import EventConnections
-from napari_hmrf.ui.footer import DEFORM
 from napari_hmrf.ui.motion import motion_messages
-
-#: Kind of the current message. Messages of kind "step" and "refused" remain until a new action
-#: begins; "refused" also hides the progress.
-Why = Literal["news", "step", "refused"]
+from napari_hmrf.ui.scene import Scene, Situation, Status, Why, resolve
 
 
 class Guide:
-    """Status text of the dock, selected from the messages of all its parts.
+    """Status text of the dock and its buttons.
 
-    Progress is shown while a job runs, and a hint about the next step if there is no message. A
-    message about a step, an undo or a refusal remains until a new action begins.
+    Each event changes the `Status` or the parts of the dock; then the `Scene` is resolved again and
+    drawn.
 
     Parameters
     ----------
@@ -38,17 +35,15 @@ class Guide:
     def __init__(self, viewer: Any, controller: Controller, undo: ViewerUndo) -> None:
         self._viewer, self._controller = viewer, controller
         form, pointer = self._form, self._pointer = controller.form, controller.pointer
-        self._message = self._doing = self._read = ""
-        # Sentence that is appended to the next message about the study.
-        self._aside = ""
-        self._why: Why = "news"
+        self._status = Status()
+        self._drawn: Scene | None = None
         self._introduction = ""
         self._is_painting = False
         for table in form.tables:
-            table.message.connect(partial(self.show_message, why="step"))
+            table.message.connect(self._on_table)
             table.refusal.connect(self.refuse)
         for source in (form.tissue.menu, controller.binding):
-            source.message.connect(partial(self.show_message, why="step"))
+            source.message.connect(self._on_table)
         form.tissue.editor.refusal.connect(self.refuse)
         pointer.message.connect(self._on_pointer)
         pointer.refusal.connect(self.refuse)
@@ -67,17 +62,40 @@ class Guide:
         self._connections.release()
 
     @property
-    def shown(self) -> str:
-        """Displayed status text; it names the button "Deform" as the button is labelled now."""
-        doing = "" if self._why == "refused" else self._doing
-        if doing and self._why == "step" and self._message.startswith(messages.SAVED):
-            doing = f"{self._message} {doing}"
-        text, button = doing or self._message, self._form.footer.deform.text
-        if not text:
-            text = messages.MEANWHILE if self._is_painting else self.invitation
-        if self._is_painting and messages.MEANWHILE not in text and not doing:
-            text = f"{text} {messages.MEANWHILE}"
-        return text if button == DEFORM else text.replace(f"ress {DEFORM}", f"ress '{button}'")
+    def scene(self) -> Scene:
+        """What the dock shows now."""
+        return resolve(self.situation, self._status)
+
+    @property
+    def situation(self) -> Situation:
+        """What the parts of the dock know now."""
+        form, pointer, viewer = self._form, self._pointer, self._viewer
+        tool, is_active, moved = pointer.tool, pointer.active, pointer.display.moved
+        image = still_there(viewer, form.image.value)
+        other = None if image is None else image_covering(viewer, image)
+        place = None if moved is None else moved.study.grid.known_place
+        tissue, boundary = form.tissue.choice.value, form.motion.boundary.choice.value
+        return Situation(
+            has_image=form.image.value is not None,
+            has_layers=bool(viewer.layers),
+            lacks_tissue=tissue is None,
+            lacks_boundary=boundary is None,
+            covering="" if other is None else other.name,
+            is_3d=viewer.dims.ndisplay == 3,
+            is_volume=form.extent.is_volume,
+            has_slices=form.extent.has_slices,
+            sees_volume=place is None or len(place.plane) == 2 or shows_volume(place, form.view()),
+            is_live=form.footer.live.value,
+            live_reason=form.footer.live.reason,
+            tool=tool.hint if is_active else "",
+            tool_in_plane=tool.flat_hint,
+            follows_surface=tool.follows_surface,
+            introduction=self._introduction if tool.name == "pull" else "",
+            paused=self._paused,
+            unheld=self._controller.unheld_warning,
+            is_painting=self._is_painting,
+            deform=form.footer.deform.text,
+        )
 
     @property
     def is_painting(self) -> bool:
@@ -100,69 +118,32 @@ class Guide:
         self._introduction = sentence
         self.show()
 
-    @property
-    def invitation(self) -> str:
-        """Hint about the next step."""
-        form, boundary = self._form, self._form.motion.boundary
-        if form.image.value is None:
-            return messages.CHOOSE if self._viewer.layers else messages.WELCOME
-        if self._covered or self.obstacle:
-            return self._covered or self.obstacle
-        begun = boundary.choice.value is not None
-        hint = motion_messages.START if form.footer.live.value or not begun else messages.READY
-        if self._pointer.active:
-            tool = self._pointer.tool
-            hint = (self._introduction if tool.name == "pull" else "") or tool.hint
-            if self._viewer.dims.ndisplay == 2:
-                hint = f"{hint} {tool.flat_hint}".rstrip()
-            else:
-                depth = "" if tool.follows_surface else motion_messages.IN_DEPTH
-                hint = f"{hint} {motion_messages.TURN} {depth}".rstrip()
-        sentences = self._controller.unheld_warning, self._paused or hint, form.footer.live.reason
-        return " ".join(filter(None, sentences))
-
-    @property
-    def obstacle(self) -> str:
-        """Reason why the tools cannot be used in this view, or ""."""
-        extent, moved = self._form.extent, self._pointer.display.moved
-        if self._viewer.dims.ndisplay == 2:
-            return ""
-        if not extent.is_volume:
-            return motion_messages.ONE_SLICE if extent.has_slices else motion_messages.FLAT
-        place = None if moved is None else moved.study.grid.known_place
-        seen = place is None or shows_volume(place, self._form.view()) or len(place.plane) == 2
-        return "" if seen else motion_messages.FLAT
-
     def show_message(self, sentence: str, why: Why = "news") -> None:
         """Show a message in place of the previous message."""
-        self._message, self._why, self._read = sentence, why, ""
-        self.show()
+        self._become(self._status.with_message(sentence, why))
 
     def add_aside(self, sentence: str) -> None:
         """Show a sentence, and append it to the message about the study that may follow."""
-        self._aside = sentence
-        if self._why == "news":
-            self.show_message(sentence)
+        self._become(self._status.with_aside(sentence))
 
     def invite(self) -> None:
         """Show the hint about the next step, unless a step or a refusal is being reported."""
-        if self._why == "news":
-            self.show_message("")
+        self._become(self._status.invited())
 
     def refuse(self, sentence: str) -> None:
         """Show why an action was refused, until a new action begins."""
         self.show_message(sentence, "refused")
 
     def show(self, *_: object) -> None:
-        """Write the status text to the footer."""
-        self._form.footer.show_status(self.shown)
-
-    @property
-    def _covered(self) -> str:
-        """Message if another image covers the chosen image, else ""."""
-        image = still_there(self._viewer, self._form.image.value)
-        other = None if image is None else image_covering(self._viewer, image)
-        return "" if other is None else motion_messages.covered(other.name)
+        """Draw the scene, if it is not the one that is drawn."""
+        scene, form = self.scene, self._form
+        if scene == self._drawn:
+            return
+        self._drawn = scene
+        form.footer.show_status(scene.status)
+        form.make.text, form.make.enabled = scene.new_layer, scene.can_add
+        for button in (form.intensity, form.result.keep, form.footer.reset):
+            button.enabled = scene.has_study
 
     @property
     def _paused(self) -> str:
@@ -172,15 +153,20 @@ class Guide:
             return ""
         return motion_messages.ARROWS_GONE if arrows.layer is None else motion_messages.OFF
 
+    def _become(self, status: Status) -> None:
+        self._status = status
+        self.show()
+
     def _on_begun(self, *_: object) -> None:
         """Allow other messages to replace the current message, because a new action has begun."""
-        self._why, self._read = "news", self._message
-        if not self._controller.busy:  # else the sentence belongs to the result to come
-            self._aside = ""
+        self._status = self._status.after_action(self._controller.busy)
 
     def _on_followed(self, *_: object) -> None:
         """Clear a message from before the last action, because the result is newer."""
-        self.show_message("" if self._read else self._message, self._why)
+        self._become(self._status.after_picture())
+
+    def _on_table(self, sentence: str) -> None:
+        self.show_message(sentence, "saved" if kind_of(sentence) == messages.SAVED else "step")
 
     def _on_step(self, sentence: str, step: Step | None) -> None:
         """Report an undo or redo; for a drawing, also how to resume drawing if it has stopped."""
@@ -188,9 +174,7 @@ class Guide:
         self.show_message(f"{sentence} {self._paused if drawn else ''}".rstrip(), "step")
 
     def _on_doing(self, sentence: str) -> None:
-        if sentence != self._doing:
-            self._doing = sentence
-            self.show()
+        self._become(replace(self._status, doing=sentence))
 
     def _on_pointer(self, sentence: str) -> None:
         if sentence:
@@ -200,11 +184,4 @@ class Guide:
 
     def _on_study(self, sentence: str) -> None:
         """Show a message about the study, appended to a step message; "" shows the hint instead."""
-        aside, self._aside = self._aside, ""
-        sentence = f"{sentence} {aside}".strip()
-        if not sentence or (sentence == messages.STILL and self.obstacle):
-            self.invite()
-        elif self._why != "refused" and not self._message.endswith(sentence):
-            self.show_message(
-                f"{self._message} {sentence}".lstrip() if self._why == "step" else sentence
-            )
+        self._become(self._status.about_study(sentence, self.situation.obstacle))

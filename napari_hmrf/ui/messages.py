@@ -11,7 +11,7 @@ from napari_hmrf.field.deformation import magnitude
 from napari_hmrf.field.units import as_seen, unit_symbol
 from napari_hmrf.layers.complete_result import CompleteResult
 from napari_hmrf.layers.result_layers import Outputs
-from napari_hmrf.notes import kind_of, short_of
+from napari_hmrf.notes import Note, kind_of, short_of
 from napari_hmrf.solver import live_solver
 from napari_hmrf.solver.caveats import LOOSE
 from napari_hmrf.solver.drift import drift_clauses
@@ -25,14 +25,21 @@ from napari_hmrf.study.models import parts_of
 from napari_hmrf.study.support import unsupported
 from napari_hmrf.wording import in_words_of
 
+#: Labels of the button that solves from a cold start, without and with *Live*.
+DEFORM, PRECISELY = "Deform", "Solve precisely"
+# The same button in a message, which is shown with the present label; see `with_button`.
+_BUTTON = "[Deform]"
+#: Kinds of messages: tissue does not move, and a file was saved.
+NO_MOTION, SAVED = "no motion", "saved"
+
 WELCOME = "Open an image first (File > Open), or a sample (File > Open Sample)."
 CHOOSE = "Choose an image above, or open one (File > Open)."
-READY = "Press Deform."
-STILL = "Nothing moves yet: choose a tool, then drag or paint tissue."
+READY = f"Press {_BUTTON}."
+STILL = Note("Nothing moves yet: choose a tool, then drag or paint tissue.", kind=NO_MOTION)
 PAINT = "Paint in {}: click a row of a table, then paint with its label."
 CURVE = "First guess: brighter tissue is stiffer. Drag the points of the curve to change it."
 MEANWHILE = "The deformed image is hidden while you paint."
-CHANGED = "The inputs have changed since the last result. Press Deform."
+CHANGED = f"The inputs have changed since the last result. Press {_BUTTON}."
 CANCELLED = "Cancelled; nothing was changed."
 STAYS = "The last result is still shown."
 #: Message after a solve from a cold start that used up its budget.
@@ -41,16 +48,28 @@ KEPT_RESULT = (
     "there. To solve further, choose a larger 'largest work' under 'Advanced'."
 )
 BEHIND = (
-    "Cancelled: the picture and the warnings do not include the last edits. Press Deform to update "
-    "them."
+    "Cancelled: the picture and the warnings do not include the last edits. "
+    f"Press {_BUTTON} to update them."
+)
+#: Message if *Live* is off by default.
+LIVE_OFF = (
+    "'Live' is off, because the image is larger than 1200 x 1200 pixels: after an edit without a "
+    f"tool, press {_BUTTON}, or tick 'Live'."
+)
+#: Messages about a result that is missing, or that lacks an input.
+LOST = (
+    "The result was in the layer '{layer}', which was deleted. To create it again, press "
+    f"{_BUTTON} or pull tissue. To hide arrows, click the eye icon of their layer instead."
+)
+FROM_A_FILE = (
+    "A result file does not contain the input stiffness, motion and confidence. "
+    f"Press {_BUTTON} to solve again."
 )
 NOT_CHOSEN = "'{}' was not chosen, because another image is in use. To use it, choose it above."
 SECOND_IMAGE = (
     "The study was saved with the second image '{}', which is not in its file. Open this image to "
     "compare, register or fit."
 )
-#: First word of messages about a saved file, which stay visible during later work.
-SAVED = "Saved"
 #: Question before a reset.
 RESET = (
     "Remove all marks of '{}' and restore the default settings? Layers and tables are kept. Undo "
@@ -117,6 +136,11 @@ _UNSURE_FOLDS = (
 MOST = "The view has moved to the slice with the most such voxels: {}."
 #: Largest number of marked sites that counts as rounding noise and causes no warning.
 HANDFUL = 5
+
+
+def with_button(text: str, label: str) -> str:
+    """Return a message with the present label of the button that solves from a cold start."""
+    return text.replace(_BUTTON, label if label == DEFORM else f"'{label}'")
 
 
 def report(done: CompleteResult) -> str:
@@ -242,7 +266,8 @@ def saved_study(
         Names of other slices of the image, or of its volume, with unsaved changes.
     """
     saved = f"the study of {extent} as {name}" if extent else name
-    parts = [f"{SAVED} {saved}{'' if solved else ' without a field: press Deform to get one'}."]
+    fieldless = f" without a field: press {_BUTTON} to get one"
+    parts = [f"Saved {saved}{'' if solved else fieldless}."]
     if pairs:
         parts.append(f"It lacks the landmarks of '{pairs}': press 'Use as landmarks'.")
     if unsaved:

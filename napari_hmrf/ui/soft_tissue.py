@@ -224,7 +224,7 @@ class SoftTissue(DockValues):
 
     def start(self) -> bool:
         """Start drawing with the current tool; return whether the mouse draws now."""
-        if self._guide.obstacle or self.image is None:
+        if self._guide.situation.obstacle or self.image is None:
             self._guide.invite()
         elif self._controller.refresh():
             self._pointer.start_drawing()
@@ -421,7 +421,7 @@ class SoftTissue(DockValues):
         motion, pointer = self._form.motion, self._pointer
         if not pointer.tool.is_dragging:  # a drag does not change the widgets below
             motion.show_tool(pointer.tool.name if pointer.active else "")
-            motion.show_obstacle(self._guide.obstacle)
+            motion.show_obstacle(self._guide.situation.obstacle)
             motion.remove.enabled = pointer.tool.selected is not None
             motion.clear.enabled = bool(pointer.drawing.marks)
             pointer.report_tool()

@@ -23,6 +23,7 @@ from napari_hmrf.field.directions import Directions
 from napari_hmrf.io.material_tables import ENDING, write_preset
 from napari_hmrf.io.segmentation_tables import ENDINGS, tissue_table
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, table_of, tissue_recorded
+from napari_hmrf.notes import Note
 from napari_hmrf.solver.model_advice import ABOUT_POISSON
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.tissue.boundary_rules import (
@@ -43,6 +44,7 @@ from napari_hmrf.tissue.row_table import RowTable
 from napari_hmrf.tissue.tissue_names import NamedMaterials
 from napari_hmrf.ui.forms import add_entry, attempt, give_menu, number_of
 from napari_hmrf.ui.label_table import Column, LabelTable
+from napari_hmrf.ui.messages import SAVED
 
 #: Text in the table for each boundary action.
 _ACTIONS: dict[Action, str] = {
@@ -374,7 +376,7 @@ class MaterialMenu(QPushButton):
         """Save the table to a file (see `write_preset`), and return the path of the file."""
         table = self._table.contents
         file = write_preset(path, Preset(table.preset, table.unit, table.source, table.rows))
-        self.message.emit(f"Saved {file.name}.")
+        self.message.emit(Note(f"Saved {file.name}.", kind=SAVED))
         return file
 
     def _offer(self, menu: QMenu, preset: Preset) -> None:

@@ -26,7 +26,6 @@ from napari_hmrf.tissue.usual_lengths import (
 )
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.controller import Controller
-from napari_hmrf.ui.dock_form import NEW_BOUNDARY, NEW_TISSUE
 from napari_hmrf.ui.events import EventConnections, single_shot
 from napari_hmrf.ui.guide import Guide
 from napari_hmrf.ui.motion.motion_messages import ARROWS_GONE
@@ -132,7 +131,7 @@ class ViewerWatch:
             layer.visible = False
         if shown:
             hidden = messages.describe_hidden_paint(shown)
-            self._guide.show_message(f"{self._guide.invitation} {hidden}", "step")
+            self._guide.show_message(f"{self._guide.situation.hint} {hidden}", "step")
 
     @property
     def is_paint_in_use(self) -> bool:
@@ -156,11 +155,6 @@ class ViewerWatch:
     # Choices
 
     def _on_choice(self, *_: Any) -> None:
-        form, has_image = self._form, self._form.image.value is not None
-        form.make.enabled = has_image and None in self._painted
-        form.make.text = NEW_TISSUE if self._painted[0] is None else NEW_BOUNDARY
-        form.intensity.enabled = form.result.keep.enabled = has_image
-        form.footer.reset.enabled = has_image
         self._controller.schedule_refresh()
         self._guide.show()
 

@@ -16,7 +16,7 @@ from napari_hmrf.study.models import SolverDetails
 from napari_hmrf.study.study_model import ModelChoice
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.material_presets import PRESETS
-from napari_hmrf.ui.messages import MODELS, READY
+from napari_hmrf.ui.messages import MODELS
 from tests.support.docks import viewer_of
 from tests.support.screen import Cell, Screen
 
@@ -135,11 +135,11 @@ def test_an_error_of_the_paper_model_with_rigid_tissue_is_shown_without_a_solve(
     make_rigid(widget)
     wait_for(lambda: RIGID in widget.status)
     widget.model = "elastic"
-    wait_for(lambda: widget.status == READY)
+    wait_for(lambda: widget.status == "Press Deform.")
     widget.model = "paper"
     wait_for(lambda: RIGID in widget.status)
     Cell(widget._form.tissue.table, 1, 2).write("900")
-    wait_for(lambda: widget.status == READY)
+    wait_for(lambda: widget.status == "Press Deform.")
 
 
 def paint_bone(widget, *place):

@@ -11,12 +11,9 @@ from napari_hmrf.field.units import as_seen
 from napari_hmrf.layers.result_layers import Name, PlacedSolution
 from napari_hmrf.posterior import Uncertainty
 from napari_hmrf.solver.optimizers import Monitor
+from napari_hmrf.ui import messages
 
-NO_RESULT = "There is no result yet: drag tissue, or press Deform."
-LOST = (
-    "The result was in the layer '{layer}', which was deleted. To create it again, press Deform or "
-    "pull tissue. To hide arrows, click the eye icon of their layer instead."
-)
+NO_RESULT = "There is no result yet: pull tissue to get one."
 NO_IMAGE = (
     "There is no image on the pixel grid of this result. Open the image of the result to deform "
     "it. The arrows and the choices of 'overlay' are available without the image."
@@ -66,17 +63,13 @@ _ABOUT: dict[Name, str] = {
     "observed": "input: motion",
     "confidence": "input: confidence",
 }
-_FROM_A_FILE = (
-    "A result file does not contain the input stiffness, motion and confidence. Press Deform "
-    "to solve again."
-)
 #: Reasons why a requested overlay may be empty.
 LACKING: dict[Name, str] = {
     "labels": "This result has no tissue labels.",
     **dict.fromkeys(("von_mises", "pressure"), "Stress needs the elastic model or large motion."),
     "folds": "The tissue does not fold.",
     "overlaps": "No part of the tissue has moved onto another part.",
-    **dict.fromkeys(("stiffness", "observed", "confidence"), _FROM_A_FILE),
+    **dict.fromkeys(("stiffness", "observed", "confidence"), messages.FROM_A_FILE),
 }
 OVERLAY_TIP = (
     "Overlay on the image that moves with the tissue; its values belong to the visible tissue.\n"

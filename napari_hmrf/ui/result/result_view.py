@@ -19,6 +19,7 @@ from napari_hmrf.layers.screen_directions import directions_of
 from napari_hmrf.layers.still_paint import layer_painted, put_brush_away
 from napari_hmrf.posterior import Uncertainty
 from napari_hmrf.solver.optimizers import Monitor
+from napari_hmrf.ui import messages
 from napari_hmrf.ui.background_jobs import BackgroundJobs
 from napari_hmrf.ui.events import EventConnections, single_shot
 from napari_hmrf.ui.forms import attempt
@@ -282,7 +283,7 @@ class ResultView:
             self._form.overlay.value = words.NOTHING
         elif event.value is self.shown.arrows:
             if part is not None and self.shown.source in self._viewer.layers:
-                self.message.emit(words.LOST.format(layer=event.value.name))
+                self.message.emit(messages.LOST.format(layer=event.value.name))
             self.arrows = None
 
     # Overlay

@@ -88,7 +88,7 @@ def test_a_missing_result_causes_a_hint_and_a_new_result_is_selected(
     assert look.result is None
     assert not look._form.result.slider.enabled
     look.play()
-    assert look.status.startswith("There is no result yet: drag tissue, or press Deform")
+    assert look.status.startswith("There is no result yet: pull tissue")
     look.percent = 30
     look.overlay = "jacobian"
     assert not look.playing
