@@ -36,7 +36,6 @@ from napari_hmrf.ui.motion.pointer import Pointer
 from napari_hmrf.ui.paced_engine import PacedEngine
 from napari_hmrf.ui.solve_progress import SolveProgress
 from napari_hmrf.ui.study_reader import StudyReader
-from napari_hmrf.ui.warning_chip import WarningChip
 
 _log = logging.getLogger("napari_hmrf")
 #: Time without edits after which all layers of the result are drawn, in milliseconds.
@@ -68,8 +67,6 @@ class Controller:
         True while a cold-start solve is in progress.
     curve_layer : CurveLayer
         Layer that shows the stiffness of the tissue if a curve defines it.
-    chip : WarningChip
-        Warning about problems with the latest result.
     engine : PacedEngine
     progress : SolveProgress
     """
@@ -84,6 +81,8 @@ class Controller:
     message = Signal(str)
     #: Emitted with the reason why a request cannot be carried out.
     refusal = Signal(str)
+    #: Emitted when there is another latest result, or none.
+    latest_changed = Signal()
     #: Emitted when the inputs cannot be solved, so that the result belongs to earlier inputs.
     outdated = Signal()
     #: Emitted with the study when the current slice or image has changed.
@@ -126,8 +125,6 @@ class Controller:
         self.curve_layer = CurveLayer(viewer, form.tissue.editor)
         form.footer.live.changed.connect(self.schedule_refresh)
         pointer.drawn.connect(self._on_drawn)
-        self.chip = WarningChip(viewer, form, lambda: self._latest_here)
-        self.chip.message.connect(lambda sentence: self.message.emit(sentence))
 
     # State
 
@@ -145,16 +142,11 @@ class Controller:
         return None if self.source is None else self._results.get(self.source)
 
     @property
-    def _latest_here(self) -> CompleteResult | None:
+    def latest_here(self) -> CompleteResult | None:
         """Latest result if it belongs to the current slice or volume, else None."""
         latest, study = self.latest, self.study
         here = latest is not None and study is not None and latest.moved.study.grid == study.grid
         return latest if here else None
-
-    @property
-    def unheld_warning(self) -> str:
-        """Warning about unconstrained tissue in the latest result, or ""."""
-        return "" if (done := self._latest_here) is None else messages.unheld_warning(done.notes)
 
     @property
     def busy(self) -> bool:
@@ -271,7 +263,7 @@ class Controller:
 
     def show_again(self) -> None:
         """Show the latest result, or the undeformed image, in place of unfinished work."""
-        if self._latest_here is not None:
+        if self.latest_here is not None:
             self._show_latest()
         elif (study := self.study) is not None:
             still = Deformation(study, image=study.pictures.image)
@@ -294,12 +286,11 @@ class Controller:
         self._read = self.source = self._submitted = None
         self._failure = self._report = ""
         self.pointer.select_slice(None)
-        self.chip.refresh()
+        self.latest_changed.emit()
 
     def release(self) -> None:
         """Stop responding to edits permanently."""
         self._is_released = True
-        self.chip.release()
         self.engine.release()
 
     # Solving and showing
@@ -331,7 +322,7 @@ class Controller:
                 self.source, self._report = source, ""
             self._submitted = None
             self.pointer.select_slice(study, source)
-            self.chip.refresh()
+            self.latest_changed.emit()
             self.form.footer.live.judge(math.prod(study.grid.shape[-2:]))
             self.engine.rehearse(study)
             self.slice_changed.emit(study)
@@ -406,7 +397,7 @@ class Controller:
         self._report = messages.report(done)
         self._show(done)
         self.progress.restart()
-        self.chip.refresh()
+        self.latest_changed.emit()
         settled = self.settling
         if settled:
             self._stop()
@@ -437,7 +428,7 @@ class Controller:
         moved = self.pointer.display.moved
         if moved is not None and moved.solution is not None:
             self._complete_timer.stop()
-            self._show(self._latest_here)
+            self._show(self.latest_here)
             self.pointer.draw()
 
     @property
@@ -464,14 +455,14 @@ class Controller:
         lacks_image = isinstance(error, NoImageError)  # then there is no tissue to update
         self._failure = "" if lacks_image else messages.in_short(error)
         self.outdated.emit()
-        self.chip.refresh()
+        self.latest_changed.emit()
         self._emit_message(always=lacks_image and not self._viewer.layers)
 
     def _clear_result(self) -> None:
         """Reset to the undeformed state, and discard the result."""
         before, self._failure = self._results.pop(self.source, None), ""
         self._report = self._report if before is None else messages.STILL
-        self.chip.refresh()
+        self.latest_changed.emit()
         self._emit_message()
 
     def _refuse(self, error: Exception) -> None:

@@ -17,6 +17,7 @@ from napari_hmrf.ui.controller import Controller
 from napari_hmrf.ui.events import EventConnections
 from napari_hmrf.ui.motion import motion_messages
 from napari_hmrf.ui.scene import Scene, Situation, Status, Why, resolve
+from napari_hmrf.ui.warning_chip import WarningChip
 
 
 class Guide:
@@ -39,6 +40,8 @@ class Guide:
         self._drawn: Scene | None = None
         self._introduction = ""
         self._is_painting = False
+        self._chip = WarningChip(viewer, form, lambda: controller.latest_here)
+        self._chip.message.connect(self._on_study)
         for table in form.tables:
             table.message.connect(self._on_table)
             table.refusal.connect(self.refuse)
@@ -53,7 +56,10 @@ class Guide:
         controller.refusal.connect(self.refuse)
         controller.message.connect(self._on_study)
         controller.progress.doing.connect(self._on_doing)
-        controller.slice_changed.connect(self.show)
+        pointer.changed.connect(self._on_tool)
+        changes = (controller.slice_changed, controller.latest_changed)
+        for signal in (*changes, form.result.overlay.changed, form.model.model.changed):
+            signal.connect(self.show)
         controller.result_drawn.connect(self._on_followed)
         self._connections = EventConnections((undo.message, self._on_step))
 
@@ -92,9 +98,13 @@ class Guide:
             follows_surface=tool.follows_surface,
             introduction=self._introduction if tool.name == "pull" else "",
             paused=self._paused,
-            unheld=self._controller.unheld_warning,
             is_painting=self._is_painting,
             deform=form.footer.deform.text,
+            latest=self._controller.latest_here,
+            overlay=self._chip.overlay,
+            model=form.model.model.value,
+            has_selection=tool.selected is not None,
+            has_marks=bool(pointer.drawing.marks),
         )
 
     @property
@@ -135,15 +145,27 @@ class Guide:
         self.show_message(sentence, "refused")
 
     def show(self, *_: object) -> None:
-        """Draw the scene, if it is not the one that is drawn."""
-        scene, form = self.scene, self._form
-        if scene == self._drawn:
-            return
+        """Draw what differs from the scene that is drawn."""
+        scene, before, form = self.scene, self._drawn, self._form
         self._drawn = scene
-        form.footer.show_status(scene.status)
-        form.make.text, form.make.enabled = scene.new_layer, scene.can_add
-        for button in (form.intensity, form.result.keep, form.footer.reset):
-            button.enabled = scene.has_study
+        shown = {} if before is None else vars(before)
+        changed = {name for name, value in vars(scene).items() if value != shown.get(name)}
+        if "status" in changed:
+            form.footer.show_status(scene.status)
+        if changed & {"new_layer", "can_add"}:
+            form.make.text, form.make.enabled = scene.new_layer, scene.can_add
+        if "has_study" in changed:
+            for button in (form.intensity, form.result.keep, form.footer.reset):
+                button.enabled = scene.has_study
+        if "obstacle" in changed:
+            form.motion.show_obstacle(scene.obstacle)
+        if changed & {"can_remove", "can_clear"}:
+            form.motion.remove.enabled = scene.can_remove
+            form.motion.clear.enabled = scene.can_clear
+        if changed & {"warning", "short_warning"}:
+            form.footer.warn(scene.warning, scene.short_warning)
+        if "offer" in changed:
+            form.footer.offer(scene.offer, messages.ABOUT_OFFERS[scene.offer])
 
     @property
     def _paused(self) -> str:
@@ -164,6 +186,10 @@ class Guide:
     def _on_followed(self, *_: object) -> None:
         """Clear a message from before the last action, because the result is newer."""
         self._become(self._status.after_picture())
+
+    def _on_tool(self) -> None:
+        if not self._pointer.tool.is_dragging:  # a drag reports its length, which shows all else
+            self.show()
 
     def _on_table(self, sentence: str) -> None:
         self.show_message(sentence, "saved" if kind_of(sentence) == messages.SAVED else "step")

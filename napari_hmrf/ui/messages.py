@@ -181,17 +181,20 @@ def warnings_of(done: CompleteResult, overlay: str) -> tuple[str, str]:
     return " ".join(parts), _label(short_of(done.notes[0])) if done.notes else ""
 
 
-def can_unfold(done: CompleteResult) -> bool:
-    """Return whether the tissue folds and the large-motion model would avoid the folds."""
-    study = done.moved.study
+def offer_of(done: CompleteResult | None, model: ModelName) -> str:
+    """Return the label of the remedy for the latest result while a model is chosen, or "".
+
+    The remedy is more work for a solve that used up its budget, or large motion if tissue folds.
+    """
+    if done is None:
+        return ""
+    study, solution = done.moved.study, done.moved.solution
+    if model == "large motion":
+        has_stopped = solution is not None and live_solver.has_stopped(solution)
+        return CONTINUE if has_stopped else ""
     is_folded = study.model_name == "elastic" and "folds" in marks_of(done.outputs)
-    return is_folded and unsupported(study, parts_of("large motion")) is None
-
-
-def has_stopped(done: CompleteResult) -> bool:
-    """Return whether the budget of the optimizer ended the solve."""
-    solution = done.moved.solution
-    return solution is not None and live_solver.has_stopped(solution)
+    can_unfold = is_folded and unsupported(study, parts_of("large motion")) is None
+    return OFFER if can_unfold else ""
 
 
 def marks_of(outputs: Outputs) -> dict[Mark, int]:

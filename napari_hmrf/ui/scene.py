@@ -9,7 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from napari_hmrf.layers.complete_result import CompleteResult
 from napari_hmrf.notes import kind_of
+from napari_hmrf.solver.model_names import ModelName
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.motion import motion_messages
 
@@ -113,12 +115,18 @@ class Situation:
         Hint for a new sample that replaces the hint of *Pull*, or "".
     paused : str
         How to continue drawing, if it has stopped, or "".
-    unheld : str
-        Warning about unconstrained tissue in the latest result, or "".
     is_painting : bool
         True while the deformed image is hidden because the user paints.
     deform : str
         Label of the button that solves from a cold start.
+    latest : CompleteResult, optional
+        Latest result of the current slice or volume.
+    overlay : str
+        Visible overlay of the result.
+    model : str
+        Chosen model.
+    has_selection, has_marks : bool
+        True if a mark is selected, and if the drawing has marks.
     """
 
     has_image: bool = False
@@ -137,9 +145,13 @@ class Situation:
     follows_surface: bool = False
     introduction: str = ""
     paused: str = ""
-    unheld: str = ""
     is_painting: bool = False
     deform: str = messages.DEFORM
+    latest: CompleteResult | None = None
+    overlay: str = ""
+    model: ModelName = "elastic"
+    has_selection: bool = False
+    has_marks: bool = False
 
     @property
     def obstacle(self) -> str:
@@ -159,8 +171,9 @@ class Situation:
             return motion_messages.covered(self.covering)
         if self.obstacle:
             return self.obstacle
+        unheld = "" if self.latest is None else messages.unheld_warning(self.latest.notes)
         step = self.paused or self._step
-        return " ".join(filter(None, (self.unheld, step, self.live_reason)))
+        return " ".join(filter(None, (unheld, step, self.live_reason)))
 
     @property
     def _step(self) -> str:
@@ -187,21 +200,44 @@ class Scene:
         True if a layer can be added.
     has_study : bool
         True if there is a study to save or reset, and brightness to derive tissue from.
+    obstacle : str
+        Reason why the tools cannot be used, or "".
+    can_remove, can_clear : bool
+        True if there is a mark to remove, and if there are marks at all.
+    warning, short_warning : str
+        Warnings about the result, and the label of the chip that shows them; or "".
+    offer : str
+        Label of the button that offers a remedy, or "".
     """
 
     status: str
     new_layer: str
     can_add: bool
     has_study: bool
+    obstacle: str
+    can_remove: bool
+    can_clear: bool
+    warning: str
+    short_warning: str
+    offer: str
 
 
 def resolve(situation: Situation, status: Status) -> Scene:
     """Return what the dock shows."""
+    latest, warnings = situation.latest, ("", "")
+    if latest is not None:
+        warnings = messages.warnings_of(latest, situation.overlay)
     return Scene(
         status=messages.with_button(_text(situation, status), situation.deform),
         new_layer=NEW_TISSUE if situation.lacks_tissue else NEW_BOUNDARY,
         can_add=situation.has_image and (situation.lacks_tissue or situation.lacks_boundary),
         has_study=situation.has_image,
+        obstacle=situation.obstacle,
+        can_remove=situation.has_selection,
+        can_clear=situation.has_marks,
+        warning=warnings[0],
+        short_warning=warnings[1],
+        offer=messages.offer_of(latest, situation.model),
     )
 
 

@@ -421,9 +421,6 @@ class SoftTissue(DockValues):
         motion, pointer = self._form.motion, self._pointer
         if not pointer.tool.is_dragging:  # a drag does not change the widgets below
             motion.show_tool(pointer.tool.name if pointer.active else "")
-            motion.show_obstacle(self._guide.situation.obstacle)
-            motion.remove.enabled = pointer.tool.selected is not None
-            motion.clear.enabled = bool(pointer.drawing.marks)
             pointer.report_tool()
 
     def _try(self, action: Callable[[], object]) -> None:

@@ -1,4 +1,4 @@
-"""Warning chip: reports problems with the visible tissue and offers a remedy."""
+"""Warning chip: shows where the visible tissue has problems, and takes the offered remedy."""
 
 from __future__ import annotations
 
@@ -14,14 +14,11 @@ from napari_hmrf.layers.slice_view import plane_shown
 from napari_hmrf.study.models import larger_budget
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.dock_form import DockForm
-from napari_hmrf.ui.events import EventConnections
 from napari_hmrf.ui.result.result_messages import NOTHING
 
 
 class WarningChip:
-    """Chip that reports problems with a result, marks them, and offers a remedy.
-
-    The remedy is a model without folds, or more work for a solve that used up its budget.
+    """Clicks on the warning about a result, which show its marks, and on the offer of a remedy.
 
     Parameters
     ----------
@@ -40,24 +37,9 @@ class WarningChip:
         self._viewer, self._form, self._latest = viewer, form, latest
         form.footer.chip.clicked.connect(self._on_chip)
         form.footer.other.clicked.connect(self._take_offer)
-        for signal in (form.result.overlay.changed, form.model.model.changed):
-            signal.connect(self.refresh)
-        self._events = EventConnections((viewer.layers.events, self._on_layers))
-
-    def release(self) -> None:
-        """Disconnect from the viewer."""
-        self._events.release()
-
-    def refresh(self, *_: Any) -> None:
-        """Update the warnings of the latest result, and the offer of another model."""
-        done, overlay = self._latest(), self._visible_overlay
-        self._form.footer.warn(*(("",) if done is None else messages.warnings_of(done, overlay)))
-        offer = messages.OFFER if self._can_unfold() else ""
-        offer = messages.CONTINUE if self._can_continue() else offer
-        self._form.footer.offer(offer, messages.ABOUT_OFFERS[offer])
 
     @property
-    def _visible_overlay(self) -> str:
+    def overlay(self) -> str:
         """Chosen overlay, or `NOTHING` if its marks are not visible."""
         chosen: str = self._form.result.overlay.value
         if chosen not in MARKS:
@@ -65,31 +47,19 @@ class WarningChip:
         marks = (each for each in self._viewer.layers if metadata_of(each).get("kind") == chosen)
         return chosen if any(each.visible for each in marks) else NOTHING
 
-    def _on_layers(self, event: Any) -> None:
-        if event.type in ("inserted", "removed", "visible"):
-            self.refresh()
-
-    def _can_unfold(self) -> bool:
-        """Return whether the large-motion model would avoid the folds of the latest result."""
-        done, chosen = self._latest(), self._form.model.model.value
-        return chosen != "large motion" and done is not None and messages.can_unfold(done)
-
-    def _can_continue(self) -> bool:
-        """Return whether the budget of the large-motion model ended the latest solve."""
-        done, chosen = self._latest(), self._form.model.model.value
-        return chosen == "large motion" and done is not None and messages.has_stopped(done)
-
     def _take_offer(self) -> None:
-        if self._can_continue():
-            details = self._form.model.in_detail
+        model = self._form.model
+        offer = messages.offer_of(self._latest(), model.model.value)
+        if offer == messages.CONTINUE:
+            details = model.in_detail
             details["budget"].value = larger_budget(details["budget"].value)
-        elif self._can_unfold():
-            self._form.model.model.value = "large motion"
+        elif offer == messages.OFFER:
+            model.model.value = "large motion"
 
     def _on_chip(self) -> None:
         """Emit the warning, and show the next mark: folds, then overlaps, then no mark."""
         overlay, latest, slice_message = self._form.result.overlay, self._latest(), ""
-        shown = self._visible_overlay
+        shown = self.overlay
         mark = None if latest is None else messages.next_mark(latest.outputs, shown)
         if latest is not None and mark is not None:
             if overlay.value == mark:  # the marks are hidden

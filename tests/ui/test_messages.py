@@ -10,7 +10,7 @@ from napari_hmrf.layers.result_layers import Outputs
 from napari_hmrf.notes import Note
 from napari_hmrf.study.measured_motion import MeasuredMotion
 from napari_hmrf.study.study import Grid, Motion, Study
-from napari_hmrf.ui.messages import can_unfold, marks_of, warnings_of
+from napari_hmrf.ui.messages import OFFER, marks_of, offer_of, warnings_of
 
 
 @pytest.mark.parametrize(("folds", "marks"), [(0, {}), (5, {}), (6, {"folds": 6})])
@@ -40,5 +40,7 @@ def test_large_motion_is_offered_for_folds_unless_the_motion_was_measured():
     for measured in (None, MeasuredMotion(y, precision)):
         study = Study(Grid((4, 4), (1, 1)), motion=Motion(measured=measured))
         outputs = Outputs(SimpleNamespace(parts=None), {}, 99)
-        done = CompleteResult(SimpleNamespace(study=study), outputs, ())
-        assert can_unfold(done) == (measured is None)
+        done = CompleteResult(SimpleNamespace(study=study, solution=None), outputs, ())
+        assert offer_of(done, "elastic") == (OFFER if measured is None else "")
+        assert offer_of(done, "large motion") == ""
+    assert offer_of(None, "elastic") == ""

@@ -1,7 +1,13 @@
 """Tests of what the dock shows: pure functions, without a window."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
+from napari_hmrf.layers.complete_result import CompleteResult
+from napari_hmrf.layers.result_layers import Outputs
+from napari_hmrf.notes import Note
+from napari_hmrf.solver.caveats import LOOSE
+from napari_hmrf.study.study import Grid, Study
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.motion import motion_messages as words
 from napari_hmrf.ui.scene import NEW_BOUNDARY, NEW_TISSUE, Situation, Status, resolve
@@ -71,10 +77,10 @@ def test_the_hint_names_the_next_step():
     assert IMAGE.hint == words.START
     painted = replace(IMAGE, is_live=False, lacks_boundary=False)
     assert told(Status(), painted) == "Press Deform."
-    drawing = replace(IMAGE, tool="Pull.", live_reason="Live is off.", unheld="Loose.")
-    assert drawing.hint == "Loose. Pull. Live is off."
-    assert replace(drawing, introduction="Drag here.").hint == "Loose. Drag here. Live is off."
-    assert replace(drawing, paused="Press a tool.").hint == "Loose. Press a tool. Live is off."
+    drawing = replace(IMAGE, tool="Pull.", live_reason="Live is off.")
+    assert drawing.hint == "Pull. Live is off."
+    assert replace(drawing, introduction="Drag here.").hint == "Drag here. Live is off."
+    assert replace(drawing, paused="Press a tool.").hint == "Press a tool. Live is off."
     assert "'other' covers the image" in replace(drawing, covering="other").hint
 
 
@@ -105,3 +111,25 @@ def test_a_layer_can_be_added_while_one_is_missing():
     empty = resolve(Situation(), Status())
     assert not empty.can_add
     assert not empty.has_study
+
+
+def test_the_scene_names_what_is_wrong_with_the_result_and_offers_a_remedy():
+    grid = Grid((4, 4), (1, 1))
+    moved = SimpleNamespace(study=Study(grid), solution=None)
+    folded = Outputs(SimpleNamespace(parts=None), {}, 99)
+    loose = Note("nothing holds the tissue: hold its edge", kind=LOOSE)
+    situation = replace(IMAGE, latest=CompleteResult(moved, folded, (loose,)), overlay="nothing")
+    scene = resolve(situation, Status())
+    assert scene.short_warning == "99 folds: show"
+    assert "Nothing holds the tissue" in scene.warning
+    assert situation.hint.startswith("Nothing holds the tissue")
+    assert scene.offer == messages.OFFER
+    assert resolve(replace(situation, model="large motion"), Status()).offer == ""
+    bare = resolve(IMAGE, Status())
+    assert (bare.warning, bare.short_warning, bare.offer) == ("", "", "")
+
+
+def test_marks_can_be_removed_only_if_there_are_any():
+    scene = resolve(replace(IMAGE, has_marks=True, has_selection=False), Status())
+    assert scene.can_clear
+    assert not scene.can_remove
