@@ -8,9 +8,8 @@ Elastic tissue moves the sites of its elements. In the paper's model, a componen
 equation if the site is in a clique that contributes to this component. A clique of the centred
 reading determines its middle site only, so the end of a line that is one site wide has no equation,
 although it is in a clique. In this reading, such lines therefore follow as a whole, and leave the
-solve, unless they are observed. The tissue beside a component that is in no clique meets it at
-rest, so its derivatives mean nothing there: such a component of a site in a block follows the mean
-of the tissue near it.
+solve. Of a line that is observed, only the ends beyond the observations leave. What follows in this
+reading relies on sites that are observed, or in the middle of a clique: other sites stay at rest.
 """
 
 from __future__ import annotations
@@ -20,6 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 
 from napari_hmrf.solver import followers
 from napari_hmrf.solver.backends import volume_caches
@@ -167,15 +167,21 @@ def _of_cliques(
     problem: Problem, prior: SeilerPrior
 ) -> tuple[Problem, tuple[Followers | None, ...], Mask, int]:
     """Return the problem to solve, followers and cliques of each component, and the bridges."""
-    tissue, blanket, bridges = problem.tissue, prior.conditional == "blanket", 0
-    away: Indices = np.zeros(0, np.intp)
-    if not blanket:
-        lines = followers_of(tissue)
-        if lines is not None:
-            observed = problem.known.reshape(-1, tissue.ndim)[lines.sites].any(axis=1)
-            away, bridges = lines.sites[~observed], lines.bridges
-    solved = problem
-    if len(away):
+    tissue, spacing, bridges = problem.tissue, problem.spacing, 0
+    if prior.conditional == "blanket":
+
+        def of_all() -> tuple[Mask, tuple[Followers | None, ...]]:
+            cliques = in_cliques(tissue, spacing)
+            return cliques, tuple(find_followers(tissue, each, each) for each in cliques)
+
+        cliques, found = remembered(("blanket", spacing), (tissue,), of_all)
+        return problem, found, cliques, 0
+    lines, solved = followers_of(tissue), problem
+    kept = np.zeros_like(tissue)
+    if lines is not None:
+        bridges = lines.bridges
+        kept = _between_observations(problem, lines)
+        away = lines.sites[~kept.ravel()[lines.sites]]
         m = problem.stiffness.copy()
         m.reshape(-1)[away] = 0
         m.setflags(write=False)
@@ -183,22 +189,49 @@ def _of_cliques(
         for name in ("tissue", "rigid", "known"):
             vars(solved).pop(name, None)
 
-    def find() -> tuple[Mask, tuple[Followers | None, ...]]:
-        cliques = in_cliques(solved.tissue, problem.spacing)
-        elements = in_elements(tissue)
-        whole = around_sites(elements, np.logical_or)
-        of_components = []
-        for each in cliques:
-            if blanket:
-                found = find_followers(tissue, each, each)
-            else:
-                found = find_followers(tissue, each & whole, elements, of_mean=whole)
-            of_components.append(found)
-        return cliques, tuple(of_components)
+    def of_tissue() -> tuple[Mask, Mask, bool]:
+        inside, middle = (in_cliques(solved.tissue, spacing, middle=only) for only in (False, True))
+        return inside, middle, bool(inside[:, tissue].all())
 
-    kind = "cliques", blanket, problem.spacing
-    cliques, of_components = remembered(kind, (tissue, solved.tissue), find)
-    return solved, of_components, cliques, bridges
+    cliques, middle, is_whole = remembered(("cliques", spacing), (tissue, solved.tissue), of_tissue)
+    if is_whole:
+        return solved, (None,) * tissue.ndim, cliques, bridges
+    known = np.moveaxis(problem.known, -1, 0)
+
+    def find() -> tuple[Followers | None, ...]:
+        elements = in_elements(tissue)
+        whole = around_sites(elements, np.logical_or) | kept
+        return tuple(
+            find_followers(
+                tissue,
+                inside & whole,
+                elements,
+                sure=determined | observed,
+            )
+            for inside, determined, observed in zip(cliques, middle, known, strict=True)
+        )
+
+    found = remembered(("centred", spacing), (tissue, solved.tissue, *known), find)
+    return solved, found, cliques, bridges
+
+
+def _between_observations(problem: Problem, lines: Followers) -> Mask:
+    """Return a mask of the sites of lines that are observed, or between observations."""
+    of_lines = np.zeros_like(problem.tissue)
+    of_lines.reshape(-1)[lines.sites] = True
+    observed: Mask = problem.known.any(axis=-1) & of_lines
+    if not observed.any():
+        return observed
+    groups, count = scipy.ndimage.label(of_lines, np.ones((3,) * of_lines.ndim))
+    has_observation = np.zeros(count + 1, np.bool_)
+    has_observation[groups[observed]] = True
+    kept: Mask = of_lines & has_observation[groups]
+    while True:  # leave out one more site at each end
+        middle = in_cliques(kept | (problem.tissue & ~of_lines), problem.spacing, middle=True)
+        fewer = kept & (observed | middle.any(axis=0))
+        if np.array_equal(fewer, kept):
+            return kept
+        kept = fewer
 
 
 def _with_moved_forces(problem: Problem, found: Followers | None) -> Problem:

@@ -13,9 +13,9 @@ farther from c than the orphan is, or two pixels if that is more. The displaceme
 a = sum of p_j u_j, and H is its displacement gradient. Both are exact for affine motions: rigid
 motions and uniform strains. If several sites are equally near, the orphan follows their mean.
 
-An orphan whose nearest site moves by less than the tissue around it cannot rely on derivatives
-there. It may follow the mean of the same sites with the same weights instead (H = 0), which stays
-within the range of their displacement.
+Where the displacement of some of these sites, or of sites beside them, means nothing, because they
+have no equation either, derivatives mean nothing: the orphan follows the mean of the others with
+the same weights instead (H = 0), which stays within the range of their displacement.
 
 Because the weights p_j add up to one, a force on an orphan that acts on the sites j instead, each
 with its share p_j, has the same resultant and the same moment.
@@ -204,7 +204,7 @@ def find_followers(
     *,
     parts: npt.NDArray[Any] | None = None,
     rigid: Mask | None = None,
-    of_mean: Mask | None = None,
+    sure: Mask | None = None,
 ) -> Followers | None:
     """Return the followers of given elements.
 
@@ -218,8 +218,8 @@ def find_followers(
         around a connected site are connected with it in any case, `connected` itself.
     parts, rigid
         As for `followers_of`.
-    of_mean : ndarray of bool, shape (H, W) or (D, H, W), optional
-        Mask of the orphans that follow the mean of their sources; the others follow the affine fit.
+    sure : ndarray of bool, shape (H, W) or (D, H, W), optional
+        Mask of the sites whose displacement has a meaning; by default all.
     """
     orphans = np.flatnonzero(tissue & ~connected)
     if not len(orphans) or not connected.any():
@@ -231,7 +231,7 @@ def find_followers(
     of, root, share = paths.roots()
     place = np.cumsum(follows) - 1  # number of each orphan among those that follow
     sites = orphans[follows]
-    fits = _Fits(tissue.shape, connected, elements, rigid, of_mean)
+    fits = _Fits(tissue.shape, connected, elements, rigid, sure)
     reach = np.clip(paths.distance[of], _NEAR, _FAR)
     found = list(fits.of(orphans[of], root, reach))
     row = np.concatenate([place[of[each.pair]] for each in found])
@@ -410,10 +410,14 @@ class _Fits:
         connected: Mask,
         elements: Mask,
         rigid: Mask | None,
-        of_mean: Mask | None,
+        sure: Mask | None,
     ) -> None:
         self._shape, self._connected, self._elements = shape, connected, elements
-        self._of_mean = of_mean
+        self._sure, self._pulled = sure, None
+        if sure is not None:
+            # Sites beside those without a meaning are pulled towards them.
+            beside = np.ones((3,) * len(shape))
+            self._pulled = scipy.ndimage.binary_dilation(connected & ~sure, beside)
         self._by_sites = elements is connected
         self._rigid, self._bodies = None, elements
         if rigid is not None and rigid.any() and not self._by_sites:
@@ -446,7 +450,12 @@ class _Fits:
         sites, inside = _moved(roots, steps, self._shape)
         used = inside & (np.linalg.norm(steps, axis=1) <= reach[:, None] * (1 + _TIE))
         used &= self._connected.ravel()[sites]
-        used &= self._joined(orphans, roots, radius)
+        used &= self._joined(orphans, roots, radius) | (steps == 0).all(axis=1)
+        of_mean = np.zeros(len(roots), np.bool_)
+        if self._sure is not None and self._pulled is not None:
+            sure = used & self._sure.ravel()[sites]
+            of_mean = (used & self._pulled.ravel()[sites]).any(axis=1)
+            used = np.where(sure.any(axis=1, keepdims=True), sure, used)
         at = np.stack(np.unravel_index(orphans, self._shape), axis=-1)
         root = np.stack(np.unravel_index(roots, self._shape), axis=-1)
         away = (root - at)[:, None] + steps.astype(np.float64)
@@ -458,8 +467,7 @@ class _Fits:
         spread = np.einsum("qk,qki,qkj->qij", weight, away, away)
         inverse = np.linalg.pinv(spread, rcond=_FLAT, hermitian=True)
         slope = weight[..., None] * (away @ inverse)
-        if self._of_mean is not None:
-            slope[self._of_mean.ravel()[orphans]] = 0
+        slope[of_mean] = 0
         value = weight - np.einsum("qki,qi->qk", slope, middle)
         of, number = np.nonzero(used)
         return _Weights(pairs[of], sites[of, number], value[of, number], slope[of, number])

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import scipy
+from scipy import ndimage
 
 from napari_hmrf import (
     ICM,
@@ -180,6 +181,37 @@ def test_the_component_across_a_thin_arm_of_the_paper_stays_within_the_range_of_
     assert across.min() > -1e-3
     assert across.max() < 1 + 1e-3
     assert across[-1] > 0.5
+
+
+def disc_with_spikes():
+    rows, cols = np.indices((23, 23)) - 11
+    disc = rows**2 + cols**2 <= 64
+    spikes = (np.minimum(abs(rows), abs(cols)) == 0) & (abs(rows) + abs(cols) <= 11)
+    return disc, disc | spikes
+
+
+def test_tips_of_the_centred_reading_stay_within_the_range_of_the_observations():
+    disc, tissue = disc_with_spikes()
+    inside = ndimage.binary_erosion(disc)
+    confidence = np.repeat(inside[..., None], 2, axis=-1).astype(float)
+    problem = Problem(observed=4 * confidence, confidence=confidence, stiffness=tissue * 1.0)
+    found = solve(problem, SeilerPrior(), optimizer=TIGHT, backend="cpu").displacement[tissue]
+    assert found.min() > -1e-3
+    assert found.max() < 4 + 1e-3
+
+
+def test_pixels_of_a_line_between_observations_are_between_their_displacements():
+    tissue = np.zeros((6, 14))
+    tissue[:, :4] = tissue[2, 4:] = 1
+    observed, confidence = np.zeros((2, 6, 14, 2))
+    confidence[:, 0] = confidence[:, 3] = confidence[2, 4:12] = 1
+    observed[2, 4:12, 1] = 0.5 * np.arange(1, 9)
+    confidence[2, [6, 7, 9]] = 0
+    problem = Problem(observed=observed * confidence, confidence=confidence, stiffness=tissue)
+    for optimizer in (TIGHT, ICM(500, steps=None)):
+        found = solve(problem, SeilerPrior(), optimizer=optimizer, backend="cpu").displacement
+        np.testing.assert_allclose(found[2, 4:12, 1], observed[2, 4:12, 1], atol=1e-3)
+        np.testing.assert_allclose(found[2, 12:, 1], found[2, 11, 1], atol=1e-3)
 
 
 def test_the_tip_of_a_spur_carries_its_force_and_moment_to_the_tissue():

@@ -9,6 +9,7 @@ from napari_hmrf import ElasticPrior, NeoHookeanPrior, Problem, ProblemError, Se
 from napari_hmrf.landmarks import Landmarks
 from napari_hmrf.loads import Loads, weight
 from napari_hmrf.solver.coupling import Coupling
+from napari_hmrf.solver.neighbours import sites_of_elements
 from napari_hmrf.solver.unfolded import unfolded
 from napari_hmrf.tissue import SlidingParts
 from validation.oracles.parts import sliding_field
@@ -111,8 +112,8 @@ def test_weight_along_an_interface_stretches_both_parts_as_it_stretches_one_body
 def test_sliding_parts_give_the_field_of_least_energy(number):
     problem, prior = tissue_with_parts(number, is_loaded=True, has_hole=True)
     solution = solve(problem, prior, backend="cpu")
-    error = abs(solution.displacement - sliding_field(problem, prior)).max() / problem.unit
-    assert error <= 1e-3
+    off = abs(solution.displacement - sliding_field(problem, prior)) / problem.unit
+    assert off[sites_of_elements(problem.tissue)].max() <= 1e-3
     assert solution.convergence.error <= 1e-3
     again = solve(problem, prior, backend="cpu", initial=solution)
     assert len(again.energy) <= 2  # at most one cycle is left to do

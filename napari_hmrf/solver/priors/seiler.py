@@ -238,7 +238,9 @@ def _inside(problem: Problem) -> Slices:
     return (slice(2, -2),) * len(problem.shape)
 
 
-def in_cliques(tissue: npt.NDArray[np.bool_], spacing: tuple[float, ...]) -> npt.NDArray[np.bool_]:
+def in_cliques(
+    tissue: npt.NDArray[np.bool_], spacing: tuple[float, ...], *, middle: bool = False
+) -> npt.NDArray[np.bool_]:
     """Return, per component, the mask of sites in a clique that contributes to it, (2, H, W).
 
     Parameters
@@ -246,13 +248,15 @@ def in_cliques(tissue: npt.NDArray[np.bool_], spacing: tuple[float, ...]) -> npt
     tissue : ndarray of bool, shape (H, W) or (D, H, W)
     spacing : tuple of float
         Size of a pixel along each axis.
+    middle : bool
+        True for the sites in the middle of a clique only.
     """
     mask = np.zeros((tissue.ndim, *tissue.shape), dtype=np.bool_)
     carried = line_weights(spacing) > 0
     for line, sites in _cliques(tissue.shape):
         exists = np.logical_and.reduce([tissue[at] for at in sites])
         for component in np.flatnonzero(carried[line]):
-            for at in sites:
+            for at in sites[1:2] if middle else sites:
                 mask[component][at] |= exists
     return mask
 
