@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import skimage.data
 from npe2 import PluginManifest
 from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
@@ -313,7 +314,9 @@ def test_menu_and_palette_show_and_hide_one_dock_which_may_float_and_be_closed(
 
 
 @pytest.mark.campaign
-def test_each_command_runs_in_a_window(window, run_command, qtbot):
+def test_each_command_runs_in_a_window(window, run_command, qtbot, monkeypatch):
+    slices = np.random.default_rng(0).integers(0, 900, (10, 64, 64)).astype(np.uint16)
+    monkeypatch.setattr(skimage.data, "brain", lambda: slices)  # which would be downloaded
     samples = {"sample_mass_effect": "mass-effect"}
     words = [
         each.id.removeprefix("napari-hmrf.") for each in COMMANDS if each.id not in WITH_A_FILE
