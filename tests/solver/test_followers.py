@@ -180,7 +180,7 @@ def test_the_component_across_a_thin_arm_of_the_paper_stays_within_the_range_of_
     across = solve(problem, SeilerPrior(), optimizer=TIGHT, backend="cpu").displacement[arm, 0]
     assert across.min() > -1e-3
     assert across.max() < 1 + 1e-3
-    assert across[-1] > 0.5
+    assert across.reshape(2, -1)[:, 2:].min() > 0.5  # not the mean with the sites at rest
 
 
 def disc_with_spikes():

@@ -75,6 +75,7 @@ def test_the_hint_names_the_next_step():
     assert Situation().hint == messages.WELCOME
     assert Situation(has_layers=True).hint == messages.CHOOSE
     assert IMAGE.hint == words.START
+    assert replace(IMAGE, is_live=False).hint == words.START
     painted = replace(IMAGE, is_live=False, lacks_boundary=False)
     assert told(Status(), painted) == "Press Deform."
     drawing = replace(IMAGE, tool="Pull.", live_reason="Live is off.")
