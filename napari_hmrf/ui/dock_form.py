@@ -59,8 +59,6 @@ _SECTIONS = {
 }
 #: Minimum width of the dock, in pixels.
 _WIDTH = 336
-#: Time after which an opened section has its final height, in milliseconds.
-_LAYOUT_TIME = 500
 
 
 class DockForm:
@@ -185,8 +183,7 @@ class DockForm:
             step.addWidget(part.native)
             remember_open(step, name)
             layout.addWidget(step)
-            shown = single_shot(step, _LAYOUT_TIME, partial(self._scroll_to, step))
-            step.toggled.connect(lambda opened, timer=shown: timer.start() if opened else None)
+            step.opened.connect(single_shot(step, 0, partial(self._scroll_to, step)).start)
         layout.setSpacing(4)
         layout.addStretch()
         # The form scrolls vertically only, so the dock must not be narrower than the form.

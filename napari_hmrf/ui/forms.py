@@ -9,6 +9,7 @@ from typing import Any
 
 from magicgui.widgets import ComboBox, Container, FloatSlider, FloatSpinBox, Label
 from qtpy.QtCore import QEvent, QObject, QPropertyAnimation, Qt
+from qtpy.QtCore import Signal as QtSignal
 from qtpy.QtGui import QKeySequence, QPainter, QTextLayout
 from qtpy.QtWidgets import (
     QAbstractSpinBox,
@@ -293,6 +294,9 @@ class Section(QCollapsible):
     title : str
     """
 
+    #: Emitted when the section has its final height after it was opened.
+    opened = QtSignal()
+
     def __init__(self, title: str) -> None:
         super().__init__(title, expandedIcon="▾", collapsedIcon="▸")
         content = self.content()
@@ -300,7 +304,7 @@ class Section(QCollapsible):
         policy.setRetainSizeWhenHidden(True)  # the form is wide enough for closed sections, too
         content.setSizePolicy(policy)
         content.hide()
-        self.findChild(QPropertyAnimation).finished.connect(self._hide_closed)
+        self.findChild(QPropertyAnimation).finished.connect(self._on_finished)
 
     def expand(self, animate: bool = True) -> None:
         """Open the section."""
@@ -312,6 +316,11 @@ class Section(QCollapsible):
         super().collapse(animate)
         if not animate:
             self._hide_closed()
+
+    def _on_finished(self) -> None:
+        self._hide_closed()
+        if self.isExpanded():
+            self.opened.emit()
 
     def _hide_closed(self) -> None:
         self.content().setVisible(self.isExpanded())
