@@ -8,8 +8,8 @@ Elastic tissue moves the sites of its elements. In the paper's model, a componen
 equation if the site is in a clique that contributes to this component. A clique of the centred
 reading determines its middle site only, so the end of a line that is one site wide has no equation,
 although it is in a clique. In this reading, such lines therefore follow as a whole, and leave the
-solve. Of a line that is observed, only the ends beyond the observations leave. What follows in this
-reading relies on sites that are observed, or in the middle of a clique: other sites stay at rest.
+solve, except pixels that are observed. What follows relies on sites that are observed, or in the
+middle of a clique: in this reading, other sites stay at rest.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import scipy
 
 from napari_hmrf.solver import followers
 from napari_hmrf.solver.backends import volume_caches
@@ -45,7 +44,10 @@ class Connected(NamedTuple):
         Problem to solve; the given problem, if nothing had to move.
     given : Problem
     followers : tuple of (Followers or None)
-        Orphans in each component of the displacement.
+        Orphans in each component of the displacement, whose observations and forces move.
+    extension : tuple of (Followers or None)
+        Sites in each component that follow after the solve: orphans that are not held exactly. In
+        the paper's model, they also follow sites that are, wherever these are.
     acts : ndarray of bool, shape (2, H, W) or (3, D, H, W), or None
         Mask of the components in a clique, in the paper's model.
     notes : tuple of str
@@ -55,6 +57,7 @@ class Connected(NamedTuple):
     problem: Problem
     given: Problem
     followers: tuple[Followers | None, ...]
+    extension: tuple[Followers | None, ...]
     acts: Mask | None
     notes: tuple[str, ...]
 
@@ -67,7 +70,7 @@ class Connected(NamedTuple):
             Displacement of the solve.
         """
         flat = displacement.reshape(-1, displacement.shape[-1])
-        for component, each in enumerate(self.followers):
+        for component, each in enumerate(self.extension):
             if each is None:
                 continue
             held = _at(self.given.known, component, each.sites)
@@ -125,10 +128,10 @@ def connected(problem: Problem, prior: Prior | None) -> Connected:
     axes = len(problem.shape)
     solved, acts, bridges = problem, None, 0
     if isinstance(prior, SeilerPrior):
-        solved, of_components, acts, bridges = _of_cliques(problem, prior)
+        solved, of_components, extension, acts, bridges = _of_cliques(problem, prior)
     else:
         found = followers_of(problem.tissue, None, problem.rigid if problem.rigid.any() else None)
-        of_components = (found,) * axes
+        of_components = extension = (found,) * axes
         bridges = 0 if found is None else found.bridges
     sites, block = ("voxels", "2 x 2 x 2") if axes == 3 else ("pixels", "2 x 2")
     where, there = f"in no {block} block of tissue", "of such a block"
@@ -148,7 +151,7 @@ def connected(problem: Problem, prior: Prior | None) -> Connected:
             f"tissue that is one {sites[:-1]} wide joins pieces of tissue, but transmits no force "
             f"between them ({bridges} {sites})"
         )
-    return Connected(solved, problem, tuple(of_components), acts, tuple(notes))
+    return Connected(solved, problem, of_components, extension, acts, tuple(notes))
 
 
 def _count(number: int, sites: str) -> str:
@@ -163,25 +166,16 @@ def _tensors(precision: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return precision.reshape(-1, *precision.shape[-2:])
 
 
-def _of_cliques(
-    problem: Problem, prior: SeilerPrior
-) -> tuple[Problem, tuple[Followers | None, ...], Mask, int]:
-    """Return the problem to solve, followers and cliques of each component, and the bridges."""
+_Each = tuple[Followers | None, ...]
+
+
+def _of_cliques(problem: Problem, prior: SeilerPrior) -> tuple[Problem, _Each, _Each, Mask, int]:
+    """Return the problem to solve, the followers of `Connected`, the cliques and the bridges."""
     tissue, spacing, bridges = problem.tissue, problem.spacing, 0
-    if prior.conditional == "blanket":
-
-        def of_all() -> tuple[Mask, tuple[Followers | None, ...]]:
-            cliques = in_cliques(tissue, spacing)
-            return cliques, tuple(find_followers(tissue, each, each) for each in cliques)
-
-        cliques, found = remembered(("blanket", spacing), (tissue,), of_all)
-        return problem, found, cliques, 0
-    lines, solved = followers_of(tissue), problem
-    kept = np.zeros_like(tissue)
-    if lines is not None:
+    blanket, solved = prior.conditional == "blanket", problem
+    if not blanket and (lines := followers_of(tissue)) is not None:
         bridges = lines.bridges
-        kept = _between_observations(problem, lines)
-        away = lines.sites[~kept.ravel()[lines.sites]]
+        away = lines.sites[~problem.known.reshape(-1, tissue.ndim)[lines.sites].any(axis=1)]
         m = problem.stiffness.copy()
         m.reshape(-1)[away] = 0
         m.setflags(write=False)
@@ -189,49 +183,36 @@ def _of_cliques(
         for name in ("tissue", "rigid", "known"):
             vars(solved).pop(name, None)
 
-    def of_tissue() -> tuple[Mask, Mask, bool]:
-        inside, middle = (in_cliques(solved.tissue, spacing, middle=only) for only in (False, True))
-        return inside, middle, bool(inside[:, tissue].all())
-
-    cliques, middle, is_whole = remembered(("cliques", spacing), (tissue, solved.tissue), of_tissue)
-    if is_whole:
-        return solved, (None,) * tissue.ndim, cliques, bridges
-    known = np.moveaxis(problem.known, -1, 0)
-
-    def find() -> tuple[Followers | None, ...]:
-        elements = in_elements(tissue)
-        whole = around_sites(elements, np.logical_or) | kept
-        return tuple(
-            find_followers(
-                tissue,
-                inside & whole,
-                elements,
-                sure=determined | observed,
-            )
-            for inside, determined, observed in zip(cliques, middle, known, strict=True)
+    def of_tissue() -> tuple[Mask, Mask, Mask, bool]:
+        cliques, middle = (
+            in_cliques(solved.tissue, spacing, middle=only) for only in (False, True)
         )
+        joined = cliques
+        if not blanket:
+            joined = cliques & around_sites(in_elements(tissue), np.logical_or)
+        return cliques, middle, joined, bool(joined[:, tissue].all())
 
-    found = remembered(("centred", spacing), (tissue, solved.tissue, *known), find)
-    return solved, found, cliques, bridges
+    kind = blanket, spacing
+    cliques, middle, joined, is_whole = remembered(kind, (tissue, solved.tissue), of_tissue)
+    if is_whole:
+        none = (None,) * tissue.ndim
+        return solved, none, none, cliques, bridges
+    known, certain = (np.moveaxis(each, -1, 0) for each in (problem.known, problem.confidence >= 1))
+    held = known & (certain | cliques)
 
+    def find() -> tuple[_Each, _Each]:
+        sure = np.ones_like(middle) if blanket else middle | known
 
-def _between_observations(problem: Problem, lines: Followers) -> Mask:
-    """Return a mask of the sites of lines that are observed, or between observations."""
-    of_lines = np.zeros_like(problem.tissue)
-    of_lines.reshape(-1)[lines.sites] = True
-    observed: Mask = problem.known.any(axis=-1) & of_lines
-    if not observed.any():
-        return observed
-    groups, count = scipy.ndimage.label(of_lines, np.ones((3,) * of_lines.ndim))
-    has_observation = np.zeros(count + 1, np.bool_)
-    has_observation[groups[observed]] = True
-    kept: Mask = of_lines & has_observation[groups]
-    while True:  # leave out one more site at each end
-        middle = in_cliques(kept | (problem.tissue & ~of_lines), problem.spacing, middle=True)
-        fewer = kept & (observed | middle.any(axis=0))
-        if np.array_equal(fewer, kept):
-            return kept
-        kept = fewer
+        def of(connected: Mask) -> _Each:
+            return tuple(
+                find_followers(tissue, each, each if blanket else in_elements(tissue), meant)
+                for each, meant in zip(connected, sure, strict=True)
+            )
+
+        return of(joined), of(joined | held)
+
+    followers, extension = remembered((*kind, "held"), (tissue, solved.tissue, *held), find)
+    return solved, followers, extension, cliques, bridges
 
 
 def _with_moved_forces(problem: Problem, found: Followers | None) -> Problem:

@@ -201,10 +201,10 @@ def find_followers(
     tissue: Mask,
     connected: Mask,
     elements: Mask,
+    sure: Mask | None = None,
     *,
     parts: npt.NDArray[Any] | None = None,
     rigid: Mask | None = None,
-    sure: Mask | None = None,
 ) -> Followers | None:
     """Return the followers of given elements.
 
@@ -475,6 +475,8 @@ class _Fits:
     def _joined(self, orphans: Indices, roots: Indices, radius: int) -> Mask:
         """Return a mask of the sites around each root that elements near it join to the root."""
         axes, count = len(self._shape), len(roots)
+        if not self._elements.size:  # the grid is one site wide
+            return np.zeros((count, (2 * radius + 1) ** axes), np.bool_)
         width = 2 * radius + (1 if self._by_sites else 0)
         steps = np.stack(
             np.meshgrid(*[np.arange(width) - radius] * axes, indexing="ij"), axis=-1

@@ -70,14 +70,18 @@ class Guide:
     @property
     def scene(self) -> Scene:
         """What the dock shows now."""
-        return resolve(self.situation, self._status)
+        return resolve(self._situation(with_hint=not self._status.told), self._status)
 
     @property
     def situation(self) -> Situation:
         """What the parts of the dock know now."""
+        return self._situation(with_hint=True)
+
+    def _situation(self, with_hint: bool) -> Situation:
+        """Return the situation; which image covers the chosen one takes time, and is for hints."""
         form, pointer, viewer = self._form, self._pointer, self._viewer
         tool, is_active, moved = pointer.tool, pointer.active, pointer.display.moved
-        image = still_there(viewer, form.image.value)
+        image = still_there(viewer, form.image.value) if with_hint else None
         other = None if image is None else image_covering(viewer, image)
         place = None if moved is None else moved.study.grid.known_place
         tissue, boundary = form.tissue.choice.value, form.motion.boundary.choice.value

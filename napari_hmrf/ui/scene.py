@@ -45,6 +45,13 @@ class Status:
     doing: str = ""
     aside: str = ""
 
+    @property
+    def told(self) -> str:
+        """Message or progress; "" if the hint is shown instead."""
+        if self.doing and self.why == "saved":
+            return f"{self.message} {self.doing}"
+        return self.doing if self.doing and self.why != "refused" else self.message
+
     def with_message(self, sentence: str, why: Why = "news") -> Status:
         """Return the status with another message; "" shows the hint about the next step."""
         return replace(self, message=sentence, why=why, is_old=False)
@@ -242,10 +249,6 @@ def resolve(situation: Situation, status: Status) -> Scene:
 
 
 def _text(situation: Situation, status: Status) -> str:
-    if status.doing and status.why == "saved":
-        return f"{status.message} {status.doing}"
-    if status.doing and status.why != "refused":
-        return status.doing
-    if not situation.is_painting:
-        return status.message or situation.hint
+    if not situation.is_painting or status.told != status.message:
+        return status.told or situation.hint
     return f"{status.message} {messages.MEANWHILE}".lstrip()

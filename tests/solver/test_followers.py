@@ -200,18 +200,45 @@ def test_tips_of_the_centred_reading_stay_within_the_range_of_the_observations()
     assert found.max() < 4 + 1e-3
 
 
-def test_pixels_of_a_line_between_observations_are_between_their_displacements():
+@pytest.mark.parametrize("optimizer", [TIGHT, ICM(500, steps=None)])
+def test_pixels_of_a_line_follow_the_nearest_observed_pixel(optimizer):
     tissue = np.zeros((6, 14))
     tissue[:, :4] = tissue[2, 4:] = 1
     observed, confidence = np.zeros((2, 6, 14, 2))
     confidence[:, 0] = confidence[:, 3] = confidence[2, 4:12] = 1
-    observed[2, 4:12, 1] = 0.5 * np.arange(1, 9)
+    observed[2, 4:12] = np.arange(1, 9)[:, None] * (0.5, -1)
     confidence[2, [6, 7, 9]] = 0
     problem = Problem(observed=observed * confidence, confidence=confidence, stiffness=tissue)
-    for optimizer in (TIGHT, ICM(500, steps=None)):
-        found = solve(problem, SeilerPrior(), optimizer=optimizer, backend="cpu").displacement
-        np.testing.assert_allclose(found[2, 4:12, 1], observed[2, 4:12, 1], atol=1e-3)
-        np.testing.assert_allclose(found[2, 12:, 1], found[2, 11, 1], atol=1e-3)
+    found = solve(problem, SeilerPrior(), optimizer=optimizer, backend="cpu").displacement
+    near = [4, 5, 5, 8, 8, 10, 11, 11, 11]
+    for at, source in zip([4, 5, 6, 7, 8, 10, 11, 12, 13], near, strict=True):
+        np.testing.assert_allclose(found[2, at], observed[2, source], atol=1e-3)
+    np.testing.assert_allclose(found[2, 9], observed[2, [8, 10]].mean(axis=0), atol=1e-3)
+
+
+@pytest.mark.parametrize("conditional", ["centred", "blanket"])
+def test_a_spur_follows_observed_tissue_two_pixels_wide(conditional):
+    tissue = np.zeros((5, 6))
+    tissue[1:4, 3:5] = tissue[2, 2] = 1
+    confidence = np.zeros((5, 6, 2))
+    confidence[1:4, 3:5] = 1
+    problem = Problem(observed=confidence, confidence=confidence, stiffness=tissue)
+    prior = SeilerPrior(conditional=conditional)
+    found = solve(problem, prior, optimizer=TIGHT, backend="cpu").displacement
+    np.testing.assert_allclose(found[2, 2], 1, atol=1e-4)
+
+
+def test_the_energy_of_a_solution_is_that_of_its_field():
+    tissue = np.zeros((12, 16))
+    tissue[:, :9] = tissue[5:7, 9:] = 1
+    observed, confidence = np.zeros((2, 12, 16, 2))
+    confidence[:, 0] = 1
+    observed[5:7, -1], confidence[5:7, -1] = 3, 0.5
+    problem = Problem(observed=observed, confidence=confidence, stiffness=tissue)
+    prior = SeilerPrior(penalty=20, conditional="blanket")
+    solution = solve(problem, prior, optimizer=TIGHT, backend="cpu")
+    expected = prior.mean_energy(problem, solution.displacement)
+    assert solution.mean_energy == pytest.approx(expected, rel=1e-4)
 
 
 def test_the_tip_of_a_spur_carries_its_force_and_moment_to_the_tissue():
