@@ -391,7 +391,7 @@ def _solution_of(
     if problem.is_volume:
         of_prior.pop("plane", None)  # a volume has no plane
     energy = outcome.energy
-    if isinstance(prior, SeilerPrior) and any(joined.extension):
+    if isinstance(prior, SeilerPrior) and (problem is not whole or any(joined.extension)):
         # An energy is reported per site of all tissue, and the last one is that of the field.
         energy = energy * (np.count_nonzero(problem.tissue) / np.count_nonzero(whole.tissue))
         energy[-1] = prior.mean_energy(whole, displacement)

@@ -228,17 +228,20 @@ def test_a_spur_follows_observed_tissue_two_pixels_wide(conditional):
     np.testing.assert_allclose(found[2, 2], 1, atol=1e-4)
 
 
-def test_the_energy_of_a_solution_is_that_of_its_field():
+@pytest.mark.parametrize("optimizer", [TIGHT, ICM(500, steps=None)])
+@pytest.mark.parametrize("conditional", ["centred", "blanket"])
+@pytest.mark.parametrize("tip", [slice(5, 7), slice(5, 6)])
+def test_the_energy_of_a_solution_is_that_of_its_field(tip, conditional, optimizer):
     tissue = np.zeros((12, 16))
-    tissue[:, :9] = tissue[5:7, 9:] = 1
+    tissue[:, :9] = tissue[tip, 9:] = 1
     observed, confidence = np.zeros((2, 12, 16, 2))
     confidence[:, 0] = 1
-    observed[5:7, -1], confidence[5:7, -1] = 3, 0.5
+    observed[tip, -1], confidence[tip, -1] = 3, 0.5
     problem = Problem(observed=observed, confidence=confidence, stiffness=tissue)
-    prior = SeilerPrior(penalty=20, conditional="blanket")
-    solution = solve(problem, prior, optimizer=TIGHT, backend="cpu")
+    prior = SeilerPrior(penalty=20, conditional=conditional)
+    solution = solve(problem, prior, optimizer=optimizer, backend="cpu")
     expected = prior.mean_energy(problem, solution.displacement)
-    assert solution.mean_energy == pytest.approx(expected, rel=1e-4)
+    assert solution.mean_energy == pytest.approx(expected, rel=1e-3, abs=1e-6)
 
 
 def test_the_tip_of_a_spur_carries_its_force_and_moment_to_the_tissue():
