@@ -323,7 +323,7 @@ def test_tissue_never_moves_further_than_its_largest_observation(
         problem, SeilerPrior(), optimizer=ICM(iterations=20, steps=None), backend="cpu"
     ).displacement.copy()
     held = np.where((c > 0) & (m > 0)[..., None], problem.observed, 0)
-    for k, followers in enumerate(connected(problem, SeilerPrior()).followers):
+    for k, followers in enumerate(connected(problem, SeilerPrior()).extension):
         if followers is not None:  # sites without cliques follow by an affine motion
             found.reshape(-1, 2)[followers.sites, k] = 0
         assert found[..., k].max() <= max(0, held[..., k].max()) + 1e-4
