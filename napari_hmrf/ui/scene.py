@@ -180,7 +180,8 @@ class Situation:
             return self.obstacle
         unheld = "" if self.latest is None else messages.unheld_warning(self.latest.notes)
         step = self.paused or self._step
-        return " ".join(filter(None, (unheld, step, self.live_reason)))
+        text = " ".join(filter(None, (unheld, step, self.live_reason)))
+        return messages.with_button(text, self.deform)
 
     @property
     def _step(self) -> str:

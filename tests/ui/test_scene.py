@@ -77,7 +77,7 @@ def test_the_hint_names_the_next_step():
     assert IMAGE.hint == words.START
     assert replace(IMAGE, is_live=False).hint == words.START
     painted = replace(IMAGE, is_live=False, lacks_boundary=False)
-    assert told(Status(), painted) == "Press Deform."
+    assert told(Status(), painted) == painted.hint == "Press Deform."
     drawing = replace(IMAGE, tool="Pull.", live_reason="Live is off.")
     assert drawing.hint == "Pull. Live is off."
     assert replace(drawing, introduction="Drag here.").hint == "Drag here. Live is off."
