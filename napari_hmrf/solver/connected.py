@@ -202,10 +202,11 @@ def _of_cliques(problem: Problem, prior: SeilerPrior) -> tuple[Problem, _Each, _
 
     def find() -> tuple[_Each, _Each]:
         sure = np.ones_like(middle) if blanket else middle | known
+        elements = in_elements(tissue)
 
         def of(connected: Mask) -> _Each:
             return tuple(
-                find_followers(tissue, each, each if blanket else in_elements(tissue), meant)
+                find_followers(tissue, each, each if blanket else elements, meant)
                 for each, meant in zip(connected, sure, strict=True)
             )
 
