@@ -8,8 +8,8 @@ Elastic tissue moves the sites of its elements. In the paper's model, a componen
 equation if the site is in a clique that contributes to this component. A clique of the centred
 reading determines its middle site only, so the end of a line that is one site wide has no equation,
 although it is in a clique. In this reading, such lines therefore follow as a whole, and leave the
-solve, except pixels that are observed. What follows relies on sites that are observed, or in the
-middle of a clique: in this reading, other sites stay at rest.
+solve, except pixels that are observed in all components. What follows relies on sites that are
+observed, or in the middle of a clique: in this reading, other sites stay at rest.
 """
 
 from __future__ import annotations
@@ -70,6 +70,10 @@ class Connected(NamedTuple):
             Displacement of the solve.
         """
         flat = displacement.reshape(-1, displacement.shape[-1])
+        if self.problem.tissue is not self.given.tissue:
+            left = self.given.tissue & ~self.problem.tissue
+            seen = left[..., None] & self.given.known
+            displacement[seen] = self.given.observed[seen]
         for component, each in enumerate(self.extension):
             if each is None:
                 continue
@@ -139,7 +143,7 @@ def connected(problem: Problem, prior: Prior | None) -> Connected:
         where, there = "in no clique for a component of its motion", "in such a clique"
     notes = []
     if any(each is not None for each in of_components):
-        solved, moved = _with_moved_observations(solved, of_components, acts)
+        solved, moved = _with_moved_observations(solved, problem.known, of_components, acts)
         if moved:
             notes.append(
                 f"{_count(moved, sites)} {where}, so the nearest {sites[:-1]} {there} takes the "
@@ -175,7 +179,7 @@ def _of_cliques(problem: Problem, prior: SeilerPrior) -> tuple[Problem, _Each, _
     blanket, solved = prior.conditional == "blanket", problem
     if not blanket and (lines := followers_of(tissue)) is not None:
         bridges = lines.bridges
-        away = lines.sites[~problem.known.reshape(-1, tissue.ndim)[lines.sites].any(axis=1)]
+        away = lines.sites[~problem.known.reshape(-1, tissue.ndim)[lines.sites].all(axis=1)]
         m = problem.stiffness.copy()
         m.reshape(-1)[away] = 0
         m.setflags(write=False)
@@ -210,9 +214,15 @@ def _of_cliques(problem: Problem, prior: SeilerPrior) -> tuple[Problem, _Each, _
                 for each, meant in zip(connected, sure, strict=True)
             )
 
-        return of(joined), of(joined | held)
+        # An observation that no clique and no other site takes is the displacement of its site.
+        followers, alone = of(joined), known & ~cliques
+        for each, component in zip(followers, alone, strict=True):
+            if each is not None:
+                component.flat[each.sites] = False
+        return followers, of(joined | held | alone)
 
-    followers, extension = remembered((*kind, "held"), (tissue, solved.tissue, *held), find)
+    parts = tissue, solved.tissue, *held, *known
+    followers, extension = remembered((*kind, "held"), parts, find)
     return solved, followers, extension, cliques, bridges
 
 
@@ -227,10 +237,11 @@ def _with_moved_forces(problem: Problem, found: Followers | None) -> Problem:
 
 
 def _with_moved_observations(
-    problem: Problem, of_components: Sequence[Followers | None], acts: Mask | None
+    problem: Problem, known: Mask, of_components: Sequence[Followers | None], acts: Mask | None
 ) -> tuple[Problem, int]:
     """Return the problem with observations of orphans at the nearest sites, and their number.
 
+    The mask `known` has the observations of all tissue, also of sites that left the solve.
     An observation is not moved if tissue beside this site has an observation of its own: it then is
     the end of a mark that extends over connected tissue.
     """
@@ -240,10 +251,10 @@ def _with_moved_observations(
     for component, found in enumerate(of_components):
         if found is None:
             continue
-        known = _at(problem.known, component, found.sites)
+        moves = _at(known, component, found.sites)
         if acts is not None:
-            known &= ~acts[component].ravel()[found.sites]
-        at = np.flatnonzero(known)
+            moves &= ~acts[component].ravel()[found.sites]
+        at = np.flatnonzero(moves)
         beside, near = _beside(problem, found, at)
         at = at[~(near & _at(problem.known, component, beside)).any(axis=1)]
         if not len(at):

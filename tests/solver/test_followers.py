@@ -216,6 +216,27 @@ def test_pixels_of_a_line_follow_the_nearest_observed_pixel(optimizer):
     np.testing.assert_allclose(found[2, 9], observed[2, [8, 10]].mean(axis=0), atol=1e-3)
 
 
+def test_a_line_pixel_observed_in_one_component_follows_in_the_other():
+    letters = [".HrrH", ".cooc", "oHooc", "..ooc", ".c.HH"]
+    seen = {"H": (1, 1), "r": (1, 0), "c": (0, 1)}
+    tissue = np.array([[letter != "." for letter in row] for row in letters])
+    confidence = np.array([[seen.get(letter, (0, 0)) for letter in row] for row in letters]) * 1.0
+    observed = confidence * (3, 2)
+    problem = Problem(observed=observed, confidence=confidence, stiffness=tissue * 1.0)
+    found = solve(problem, SeilerPrior(), optimizer=TIGHT, backend="cpu").displacement
+    np.testing.assert_allclose(found[tissue], np.tile([3.0, 2.0], (tissue.sum(), 1)), atol=2e-2)
+
+
+def test_a_pixel_between_doubtful_observations_in_no_clique_follows_them():
+    tissue = np.zeros((6, 4))
+    tissue[:2, 1:3] = tissue[2:4, 2] = 1
+    confidence = np.repeat(tissue[..., None], 2, axis=-1) * 0.3
+    confidence[2, 2] = 0
+    problem = Problem(observed=(confidence > 0) * 2.0, confidence=confidence, stiffness=tissue)
+    found = solve(problem, SeilerPrior(), optimizer=TIGHT, backend="cpu").displacement
+    np.testing.assert_allclose(found[2, 2], 2, atol=1e-4)
+
+
 @pytest.mark.parametrize("conditional", ["centred", "blanket"])
 def test_a_spur_follows_observed_tissue_two_pixels_wide(conditional):
     tissue = np.zeros((5, 6))
