@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from napari.components import Dims
 
 from napari_hmrf.layers.arrow_mesh import outlined
 
@@ -118,14 +117,6 @@ def drawn_node(viewer: Any, layer: Any) -> Any:
         return viewer.window._qt_viewer.canvas.layer_to_visual[layer].node
     except (AttributeError, KeyError):
         return None
-
-
-def slice_hidden(viewer: Any, layer: Any) -> None:
-    """Slice a hidden layer before it is added to a 3-D view; napari 0.7.0 fails to do so."""
-    if viewer.dims.ndisplay == 3 and layer.ndim > 2 and not layer.visible:
-        layer.visible = True
-        layer._slice_dims(Dims(ndim=layer.ndim, ndisplay=3))
-        layer.visible = False
 
 
 def hide_in_list(viewer: Any, layer: Any) -> None:

@@ -13,6 +13,7 @@ from napari_hmrf.field.units import unit_name
 from napari_hmrf.layers.compat import camera_of
 from napari_hmrf.layers.metadata import BOUNDARY, IMAGE, TISSUE, metadata_of, role_of
 from napari_hmrf.layers.slice_view import View, fits, full_resolution
+from napari_hmrf.layers.viewer_layers import ViewerLayers
 
 #: Blending modes in which an image hides the layers below it.
 _OPAQUE = ("opaque", "translucent", "translucent_no_depth")
@@ -104,12 +105,13 @@ def image_covering(viewer: Any, image: Any, places: Iterable[Sequence[float]] = 
     return next((each for each in above if _has_pixels_at(each, targets, view)), None)
 
 
-def uncover(viewer: Any, image: Any) -> list[Any]:
+def uncover(layers: ViewerLayers, image: Any) -> list[Any]:
     """Show an image, hide all images that cover a part of it, and return the hidden images."""
-    image.visible, hidden = True, list[Any]()
+    layers.want(image)
+    viewer, hidden = layers.viewer, list[Any]()
     for place in _sample_places(viewer, image):
         while (other := image_covering(viewer, image, [place])) is not None:
-            other.visible = False
+            layers.want(other, wanted=False)
             hidden.append(other)
     return hidden
 

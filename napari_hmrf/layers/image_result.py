@@ -13,7 +13,7 @@ from psygnal import Signal
 
 from napari_hmrf.field.animation import MARKS
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.layers.compat import hide_in_list, outline_arrows, show_name, slice_hidden
+from napari_hmrf.layers.compat import hide_in_list, outline_arrows, show_name
 from napari_hmrf.layers.label_colours import opaque_gaps
 from napari_hmrf.layers.metadata import (
     BOUNDARY,
@@ -25,7 +25,7 @@ from napari_hmrf.layers.metadata import (
 )
 from napari_hmrf.layers.result_layers import Kind, LayerData
 from napari_hmrf.layers.still_paint import hide_still_paint, layer_painted, lies_still
-from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_there, update_layer
+from napari_hmrf.layers.viewer_layers import ViewerLayers, layers_of, still_there
 
 #: Kind of the layer that shows painted confidence.
 CONFIDENCE: Literal["painted confidence"] = "painted confidence"
@@ -53,12 +53,8 @@ class _PartState:
     name: str
     #: Name for which the layer was created; napari may append a number to it.
     base_name: str
-    #: True if the user has not hidden the layer.
-    is_wanted: bool = True
     #: True if the latest result includes the part; otherwise the layer is temporarily hidden.
     current: bool = True
-    #: Visibility set by this package; if the layer's visibility differs, the user has changed it.
-    is_shown: bool = True
     #: Data of the layer if no other object uses the array, so that the array can be overwritten;
     #: otherwise None.
     writable: Any = None
@@ -71,14 +67,14 @@ class _PartState:
 class Result:
     """Layers of one result.
 
-    The layer of a part is visible if the user has not hidden it, the latest result includes the
-    part, the undeformed image is not shown instead, and the user is working on the same extent
-    (slice or volume).
+    The layer of a part is hidden while the latest result does not include the part, while the
+    undeformed image is shown instead, and while the user is working on another extent (slice or
+    volume).
 
     Parameters
     ----------
-    viewer : napari.Viewer or ViewerModel
-        Viewer, or a weak proxy of a viewer.
+    layers : ViewerLayers
+        Layers of the viewer.
     anchor : napari.layers.Layer
         Deformed layer; for a result from a file, the arrow layer that contains the result.
     where : str
@@ -103,13 +99,13 @@ class Result:
 
     def __init__(
         self,
-        viewer: Any,
+        layers: ViewerLayers,
         anchor: Any,
         where: str,
         paint_hidden: Callable[[list[Any]], object] = lambda _: None,
         before_changed: Callable[[], object] = lambda: None,
     ) -> None:
-        self._viewer, self._paint_hidden = viewer, paint_hidden
+        self._layers, self._viewer, self._paint_hidden = layers, layers.viewer, paint_hidden
         self._before_changed = before_changed
         #: Weak reference to the deformed layer.
         self.anchor: Callable[[], Any] = weakref.ref(anchor)
@@ -135,10 +131,7 @@ class Result:
         The part can still be hidden for other reasons; see `Result`.
         """
         layer = self.layer(part)
-        if layer is None:
-            return False
-        state = self._states[part]
-        return bool(layer.visible if layer.visible != state.is_shown else state.is_wanted)
+        return layer is not None and self._layers.is_wanted(layer)
 
     def holds(self, part: Part) -> bool:
         """Return whether the latest result includes a part.
@@ -164,10 +157,7 @@ class Result:
 
     def adopt(self, part: Part, layer: Any) -> None:
         """Use an existing layer as the layer of a part."""
-        seen = layer.visible
-        self._states[part] = _PartState(
-            weakref.ref(layer), layer.name, layer.name, seen, is_shown=seen
-        )
+        self._states[part] = _PartState(weakref.ref(layer), layer.name, layer.name)
         self._update_visibility()
 
     def put(self, part: Part, made: LayerData, source: Any = None, show: bool = True) -> None:
@@ -187,9 +177,8 @@ class Result:
         if part != PAINTED or not self._overwrite(part, made):
             self._update_or_replace(part, made, source)
         if show and part == "overlay" and not self.is_before:
-            for each in self._viewer.layers:
-                if each.visible and lies_still(each):  # an assignment ends the mode of a layer
-                    each.visible = False
+            still = [each for each in self._viewer.layers if lies_still(each)]
+            self._layers.want(*still, wanted=False)
         self._states[part].current = True
         self.set_wanted(part, show or self.is_wanted(part))
 
@@ -231,7 +220,8 @@ class Result:
             state = self._states[part]
             if _percent_of(layer) == _WHOLE:
                 state.complete = layer.data
-            layer.data = state.part = data
+            state.part = data
+            self._layers.set_data(layer, data)
             state.writable = None
             # The metadata record the percentage, in case the user saves the layer.
             add_metadata(layer, percent=percent)
@@ -243,7 +233,7 @@ class Result:
         for part, layer, state in self._present_layers():
             if state.part is not None and layer.data is state.part:
                 if state.complete is not None:
-                    layer.data = state.complete
+                    self._layers.set_data(layer, state.complete)
                     add_metadata(layer, percent=_WHOLE)
                 elif _percent_of(layer) != _WHOLE:
                     self.set_wanted(part, False)
@@ -256,8 +246,8 @@ class Result:
         """Show or hide a part, in this and in later results."""
         if (layer := self.layer(part)) is not None:
             state = self._states[part]
-            state.is_wanted, state.is_shown = is_wanted, layer.visible
             state.current = state.current or is_wanted
+            self._layers.want(layer, wanted=is_wanted)
             self._update_visibility()
 
     def drop(self, part: Part) -> None:
@@ -265,9 +255,9 @@ class Result:
         layer, state = self.layer(part), self._states.pop(part, None)
         if state is not None and layer is not None:
             if layer.name == state.name:
-                self._viewer.layers.remove(layer)
+                self._layers.remove(layer)
             else:
-                layer.visible = False
+                self._layers.want(layer, wanted=False)
             if part in ("image", "overlay"):
                 self._update_visibility()  # paint may be visible again
 
@@ -316,24 +306,28 @@ class Result:
                 yield part, layer, state
 
     def _update_visibility(self) -> None:
-        """Update the visibility of each layer."""
+        """Hide the layers that do not belong to what is shown now."""
+        paint, overlay = (PAINTED, CONFIDENCE), self.layer("overlay")
         # Two colour scales on one image, and their legends, could be mistaken for each other.
-        parts = sorted(self._present_layers(), key=lambda each: each[0] == CONFIDENCE)
-        overlay = self._states.get("overlay")
-        for part, layer, state in parts:
-            state.is_wanted = self.is_wanted(part)
-            partly = not self._is_whole and part in (PAINTED, CONFIDENCE)
-            hidden = self.is_before or self.is_away or partly
-            if part == CONFIDENCE and overlay is not None and overlay.is_shown:
-                hidden = hidden or isinstance(self.layer("overlay"), Image)
-            state.is_shown = state.is_wanted and state.current and not hidden
-            if layer.visible != state.is_shown:
-                layer.visible = state.is_shown
+        has_scale = isinstance(overlay, Image) and self.holds("overlay")
+        is_scaled = has_scale and self._layers.is_wanted(overlay)
+        self._layers.hide_while(
+            self,
+            [
+                layer
+                for part, layer, state in self._present_layers()
+                if self.is_before
+                or self.is_away
+                or not state.current
+                or (part in paint and not self._is_whole)
+                or (part == CONFIDENCE and is_scaled)
+            ],
+        )
         self.hide_paint()
 
     def hide_paint(self) -> None:
         """Hide painted layers, which do not move, while the deformed image is visible."""
-        hidden = hide_still_paint(self._viewer)
+        hidden = hide_still_paint(self._layers)
         if hidden:
             self._paint_hidden(hidden)
 
@@ -349,8 +343,9 @@ class Result:
             return False
         if part == PAINTED and layer.colormap is not made.attributes["colormap"]:
             return False
-        if layer.data is not state.writable or not overwrite(self._viewer, layer, made.data):
-            layer.data = state.writable = np.array(made.data)
+        if layer.data is not state.writable or not self._layers.overwrite(layer, made.data):
+            state.writable = np.array(made.data)
+            self._layers.set_data(layer, state.writable)
         return True
 
     def _update_or_replace(self, part: Part, made: LayerData, source: Any = None) -> None:
@@ -358,15 +353,15 @@ class Result:
         layers, layer, state = self._viewer.layers, self.layer(part), self._states.get(part)
         name, is_scale = made.attributes["name"], part != "image" and made.kind == "image"
         is_overlaid = part == "overlay" and made.kind != "vectors"
-        with same_selection(self._viewer):
+        with self._layers.same_selection():
             if state is None or layer is None or not _fits(layer, made):
                 wanted = layer is None or self.is_wanted(part)
                 self.drop(part)
                 layer = Layer.create(*made)
                 # Register the layer first, so that callbacks of the insertion can find it.
-                state = self._states[part] = _PartState(weakref.ref(layer), name, name, wanted)
-                slice_hidden(self._viewer, layer)
-                layers.insert(self._index(part, made, source), layer)
+                state = self._states[part] = _PartState(weakref.ref(layer), name, name)
+                self._layers.add(layer, self._index(part, made, source))
+                self._layers.want(layer, wanted=wanted)
                 state.name = layer.name
                 if part in (PAINTED, CONFIDENCE):  # parts of the drawing, which the tools edit
                     hide_in_list(self._viewer, layer)
@@ -380,7 +375,7 @@ class Result:
                     show_name(layer, corner)
                 layer.editable = part != PAINTED and layer.editable
             else:
-                update_layer(layer, made)
+                self._layers.update(layer, made)
                 for look in _LOOKS.get(part, ()):
                     if look in made.attributes:
                         setattr(layer, look, made.attributes[look])
@@ -389,7 +384,7 @@ class Result:
                     state.name, state.base_name = layer.name, name
                 now, at = layers.index(layer), self._index(part, made, source)
                 if is_overlaid and now + 1 < at:  # paint was added above the overlay
-                    layers.move(now, at)
+                    self._layers.move(layer, at)
         is_grey = part == "image" and not layer.rgb
         if is_grey and layer.dtype.kind == "f" and np.isnan(layer.data).any():
             layer.colormap = opaque_gaps(layer.colormap)
@@ -402,7 +397,7 @@ class Result:
         if made.kind == "vectors" or _kind_of(made) in MARKS:
             return len(layers)
         if part in (PAINTED, CONFIDENCE):  # below the lines on the image
-            lowest = self._above(self.layer("image"), self.anchor())
+            lowest = self._layers.above(self.layer("image"), self.anchor())
             drawn = (at for at, each in enumerate(layers) if at >= lowest and _is_drawn(each))
             return next(drawn, len(layers))
         below = [] if part == "image" else [self.layer("image")]
@@ -412,12 +407,7 @@ class Result:
             below.append(self.anchor())
         else:
             below += [source, *(each for each in layers if _is_moved(each, self.where))]
-        return self._above(*below)
-
-    def _above(self, *below: Any) -> int:
-        """Return the lowest index above all given layers."""
-        layers = self._viewer.layers
-        return max((layers.index(each) + 1 for each in below if each in layers), default=0)
+        return self._layers.above(*below)
 
 
 def _percent_of(layer: Any) -> int:
@@ -479,7 +469,8 @@ class ResultLayers:
     before_changed = Signal()
 
     def __init__(self, viewer: Any) -> None:
-        self._viewer = weakref.proxy(viewer)
+        self._layers = layers_of(viewer)
+        self._viewer = self._layers.viewer
         self._results: list[Result] = []
 
     @property
@@ -493,7 +484,7 @@ class ResultLayers:
             if result.anchor() is source and result.where == where:
                 return result
         callbacks = self.paint_hidden.emit, self.before_changed.emit
-        self._results.append(Result(self._viewer, source, where, *callbacks))
+        self._results.append(Result(self._layers, source, where, *callbacks))
         return self._results[-1]
 
     def pictures_of(self, source: Any) -> list[Any]:

@@ -373,6 +373,8 @@ def study_layers(study: Study) -> dict[str, Any]:
     n = len(grid.shape)
     frame = grid.place or Frame.at(grid.spacing, (grid.unit,) * n, volume=n == 3)
     layers: dict[str, Any] = {}
+    # Tissue and boundary layers would tint the deformed image.
+    visible = "image" if pictures.image is not None else "tissue"
 
     def add(
         part: str, name: str, data: Any, look: Mapping[str, Any], sort: str = "image", **what: Any
@@ -382,6 +384,7 @@ def study_layers(study: Study) -> dict[str, Any]:
         known = layer_metadata(**what)[METADATA] if what else {}
         if frame.file_axes:
             known = {**known, FILE_AXES: frame.file_axes}
+        look = {**look, "visible": not study.moves or part == visible}
         layers[part] = Layer.create(*layer_on(frame, data, name, known, look, sort))
 
     if pictures.image is not None:
@@ -403,12 +406,12 @@ def study_layers(study: Study) -> dict[str, Any]:
             field = DisplacementField.in_pixels(frame.put_field(steps))
             name = study.names.get("boundary", "Observed")
             place = frame.placement(image=True)
-            layers["boundary"] = Layer.create(*field_layer(field, place, name, BOUNDARY))
+            made = field_layer(field, place, name, BOUNDARY)
+            made.attributes["visible"] = not study.moves
+            layers["boundary"] = Layer.create(*made)
         else:
             arrows = np.stack([starts, steps[tuple(starts.T)]], axis=1)
             add("boundary", "Observed", arrows, {}, "vectors", role=BOUNDARY)
         look = {"contrast_limits": (0, 1), "opacity": 0.3}
         add("confidence", "Confidence", confidence, look)
-    for part, layer in layers.items():  # tissue and boundary layers would tint the deformed image
-        layer.visible = not study.moves or part == ("image" if "image" in layers else "tissue")
     return layers

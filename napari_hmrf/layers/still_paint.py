@@ -8,6 +8,7 @@ from napari.layers import Labels
 
 from napari_hmrf.layers.field_layer import MOVED
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, metadata_of, role_of
+from napari_hmrf.layers.viewer_layers import ViewerLayers
 
 #: Modes for painting in Labels layers, with the mode that picks a label from the image.
 BRUSHES = ("paint", "erase", "fill", "polygon", "pick")
@@ -41,16 +42,16 @@ def is_deformed(viewer: Any) -> bool:
     return any(each.visible and metadata_of(each).get("kind") == "image" for each in viewer.layers)
 
 
-def hide_still_paint(viewer: Any) -> list[Any]:
+def hide_still_paint(layers: ViewerLayers) -> list[Any]:
     """Hide painted layers while a deformed image is visible, and return the hidden layers.
 
     Over a deformed image, the paint would look like an error of the deformation. A layer in which a
     brush is selected stays visible.
     """
+    viewer = layers.viewer
     if not is_deformed(viewer):
         return []
     shown = [each for each in viewer.layers if lies_still(each) and each.visible]
     hidden = [each for each in shown if not is_painted(viewer, each)]
-    for layer in hidden:
-        layer.visible = False
+    layers.want(*hidden, wanted=False)
     return hidden

@@ -14,7 +14,7 @@ from napari_hmrf.layers.compat import paint_steps, unwrapped
 from napari_hmrf.layers.image_choice import uncover
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, store_table
 from napari_hmrf.layers.slice_view import View
-from napari_hmrf.layers.viewer_layers import shared
+from napari_hmrf.layers.viewer_layers import layers_of, shared
 from napari_hmrf.study.edit_history import Step
 from napari_hmrf.study.study_model import Part, StudyModel
 from napari_hmrf.tissue.row_table import RowTable
@@ -44,7 +44,8 @@ class ViewerUndo:
 
     def __init__(self, viewer: Any) -> None:
         self.model = StudyModel()
-        self._viewer = weakref.proxy(viewer)
+        self._layers = layers_of(viewer)
+        self._viewer = self._layers.viewer
         # Docks that have bound the keys.
         self._owners: weakref.WeakSet[object] = weakref.WeakSet()
         # Stacks that unbind the keys of the viewer and of the active layer.
@@ -132,7 +133,7 @@ class ViewerUndo:
         layer = self._viewer.layers.selection.active
         has_paint = step is None and bool(paint_steps(layer, name))
         if has_paint:
-            _repeat(layer, name)
+            self._repeat(layer, name)
         return has_paint
 
     def _report(self, name: str, what: str, step: Step | None, nothing: str) -> None:
@@ -140,14 +141,22 @@ class ViewerUndo:
         if step is not None and isinstance(part := step.part, Part):
             # napari stores at most 100 strokes, so the stroke may no longer be available.
             if part.kind == "paint" and paint_steps(part.layer, name):
-                _repeat(part.layer, name)
+                self._repeat(part.layer, name)
             image = self.model.image_of(part)
             if image is not None and image is not self.model.image:
                 self.model.select(image)
-                uncover(self._viewer, image)
+                uncover(self._layers, image)
             self.go_to(part)
             what += self._of_image(part)
         self.message.emit(nothing if step is None else f"{what}: {step.word}.", step)
+
+    def _repeat(self, layer: Any, name: str) -> None:
+        """Undo or redo a stroke in a Labels layer, and show the layer, which may be hidden.
+
+        napari does not report changes of hidden layers.
+        """
+        self._layers.want(layer)
+        getattr(layer, name)()
 
     def _of_image(self, part: Part) -> str:
         """Return a phrase with the name of the image if several images were edited, or ""."""
@@ -194,16 +203,6 @@ class ViewerUndo:
 
     def _on_removed(self, event: Any) -> None:
         self.model.remove(event.value)
-
-
-def _repeat(layer: Any, name: str) -> None:
-    """Undo or redo a stroke in a Labels layer, and show the layer, which may be hidden.
-
-    napari does not report changes of hidden layers.
-    """
-    if not layer.visible:
-        layer.visible = True
-    getattr(layer, name)()
 
 
 def undo_of(viewer: Any) -> ViewerUndo:

@@ -9,7 +9,7 @@ from typing import Any
 from napari.layers import Image
 
 from napari_hmrf.layers.metadata import metadata_of
-from napari_hmrf.layers.viewer_layers import still_there
+from napari_hmrf.layers.viewer_layers import layers_of, still_there
 
 #: Settings of an Image layer for the 3-D view.
 _SETTINGS = ("rendering", "iso_threshold", "attenuation", "interpolation3d", "depiction")
@@ -30,12 +30,12 @@ class VolumeLook:
     """
 
     def __init__(self, viewer: Any) -> None:
-        self._viewer = viewer
+        self._viewer, self._layers = viewer, layers_of(viewer)
         self._source: Any = None
         self._picture: Any = None
         self._connections = ExitStack()
         self._is_copying = False
-        # Layers to show again when the deformed copy no longer covers them.
+        # Layers that are hidden while the deformed copy covers them.
         self._hidden: list[Any] = []
         self._is_covering = False
 
@@ -98,18 +98,15 @@ class VolumeLook:
         elif not self._is_covering:
             self._is_covering = True
             slices = [layer for layer in self._viewer.layers if _is_slice(layer)]
-            for layer in (self._source, *slices):
-                if layer.visible:
-                    self._hidden.append(layer)
-                    layer.visible = False
+            self._hidden = [self._source, *slices]
+            self._layers.hide_while(self, self._hidden)
         elif self._source.visible and self._source in self._hidden:  # shown again by the user
             self._hidden.remove(self._source)
+            self._layers.hide_while(self, self._hidden)
 
     def _show_hidden(self) -> None:
-        self._is_covering = False
-        hidden, self._hidden = self._hidden, []
-        for layer in hidden:
-            layer.visible = True
+        self._is_covering, self._hidden = False, []
+        self._layers.hide_while(self, [])
 
 
 def _is_slice(layer: Any) -> bool:

@@ -23,7 +23,7 @@ from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.metadata import BOUNDARY, role_of
 from napari_hmrf.layers.read import Request
 from napari_hmrf.layers.slice_view import fits
-from napari_hmrf.layers.viewer_layers import shared
+from napari_hmrf.layers.viewer_layers import layers_of, shared
 from napari_hmrf.layers.viewer_undo import undo_of
 from napari_hmrf.study.study_model import BRIGHTNESS, ImageChoice, ModelChoice, Part
 from napari_hmrf.tissue.material_presets import PLAIN, PRESETS, Preset
@@ -381,7 +381,7 @@ class FormBinding:
             others = [each for each in form.image.offered if each is not form.image.value]
             if part.kind in ("drawing", "choice", "model") and part.layer in others:
                 form.image.value = part.layer
-                uncover(self._viewer, part.layer)
+                uncover(layers_of(self._viewer), part.layer)
             is_current = part.layer is form.image.value
             if part.kind == "model" and is_current:
                 form.model.choice = value

@@ -12,6 +12,7 @@ from napari.layers import Labels
 from napari_hmrf.layers.label_colours import boundary_colours
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, layer_metadata
 from napari_hmrf.layers.slice_view import View, fits, frame_of, layer_extents, plane_shape
+from napari_hmrf.layers.viewer_layers import layers_of
 from napari_hmrf.tissue.boundary_rules import UNPAINTED, BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing, Stroke
 from napari_hmrf.tissue.material_presets import Palette, Preset
@@ -60,13 +61,13 @@ def add_missing(
     has_tissue, has_boundary = (
         layer is not None and fits(layer, image, view) for layer in (tissue, boundary)
     )
-    layers, blank = viewer.layers, partial(_blank, image, view)
+    layers, blank = layers_of(viewer), partial(_blank, image, view)
     if not has_tissue:
         first = Material(0, UNPAINTED, preset.materials[0].stiffness)
         materials = (first, *preset.materials, *_painted_rows(drawing, preset))
         tissue = blank("Tissue", layer_metadata(TISSUE, materials, preset.unit), opacity=0.4)
         # Insert below the boundary, which must stay visible.
-        layers.insert(layers.index(boundary) if has_boundary else len(layers), tissue)
+        layers.add(tissue, viewer.layers.index(boundary) if has_boundary else None)
     if not has_boundary:
         frame = frame_of(image, view)
         push = usual_step(plane_shape(image, frame), frame.spacing)
@@ -74,7 +75,7 @@ def add_missing(
         grows = BoundaryRule(2, "expand", amount=push, name="grows")
         description = layer_metadata(BOUNDARY, (holds, grows))
         boundary = blank("Boundary", description, colormap=boundary_colours())
-        layers.append(boundary)
+        layers.add(boundary)
     paints_boundary = not isinstance(tissue, Labels) or (has_tissue and not has_boundary)
     first = boundary if paints_boundary else tissue
     viewer.layers.selection = {first}

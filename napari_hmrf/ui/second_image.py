@@ -18,7 +18,7 @@ from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.landmarks import landmark_pairs
 from napari_hmrf.layers.result_layers import PlacedSolution
 from napari_hmrf.layers.slice_view import View
-from napari_hmrf.layers.viewer_layers import shared
+from napari_hmrf.layers.viewer_layers import layers_of, shared
 from napari_hmrf.notes import kind_of
 from napari_hmrf.solver.drift import drift_clauses
 from napari_hmrf.study.landmark_data import HELD_EDGE
@@ -39,7 +39,7 @@ _LANDMARKS, _DRAWN = "Landmarks", "Landmarks of the drawing"
 _HINDERED = "the held outer edge hinders the drift (see 'Fix outer edge')"
 # Number of decimals, in pixels, in which equal positions agree.
 _DECIMALS = 6
-_OTHER = {"colormap": "green", "blending": "additive", "opacity": 1.0, "visible": True}
+_OTHER = {"colormap": "green", "blending": "additive", "opacity": 1.0}
 
 
 class SecondImage:
@@ -66,9 +66,10 @@ class SecondImage:
         self._results = shared(viewer, ResultLayers)
         self._image, self._form = controller.form.image, controller.form.result
         self._pair = controller.form.motion.boundary.landmarks
-        # Settings of the compared layers, and index of the second image, before the comparison.
+        # Settings of the compared layers, and index and visibility of the second image, before
+        # the comparison.
         self._before: dict[Any, dict[str, Any]] = {}
-        self._place = 0
+        self._place, self._was_wanted = 0, True
         choices = (self._image, self._form.second, self._pair.sources, self._pair.targets)
         # True if the result belongs to earlier inputs, because the current inputs were refused.
         self._is_outdated = False
@@ -133,13 +134,15 @@ class SecondImage:
     def _draw(self, other: Any, moved: list[Any]) -> None:
         """Restore the layers of the last comparison, and draw an image over the moved images."""
         compared, layers = [] if other is None else [other, *moved], self._viewer.layers
+        written = layers_of(self._viewer)
         if compared == list(self._before):
             return
         for layer, look in self._before.items():
             _set(layer, look)
         second = next(iter(self._before), None)
         if second in layers:  # on top, the second image would cover the image
-            layers.move(layers.index(second), self._place)
+            written.want(second, wanted=self._was_wanted)
+            written.move(second, self._place)
         self._before = {}
         for layer in compared:
             look = dict(_OTHER if layer is other else _MOVED)
@@ -148,9 +151,9 @@ class SecondImage:
             self._before[layer] = {name: getattr(layer, name) for name in look}
             _set(layer, look)
         if other is not None:
-            self._place = layers.index(other)
-            indices = [layers.index(layer) for layer in moved if layer in layers]
-            layers.move(self._place, max([self._place, *(index + 1 for index in indices)]))
+            self._place, self._was_wanted = layers.index(other), written.is_wanted(other)
+            written.want(other)
+            written.move(other, max(self._place, written.above(*moved)))
 
     def _on_outdated(self) -> None:
         self._is_outdated = True

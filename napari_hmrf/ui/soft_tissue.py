@@ -15,7 +15,7 @@ from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.landmarks import SD_FEATURE, read_landmarks, with_spreads_of
 from napari_hmrf.layers.still_paint import put_brush_away
-from napari_hmrf.layers.viewer_layers import shared
+from napari_hmrf.layers.viewer_layers import layers_of, shared
 from napari_hmrf.layers.viewer_undo import undo_of
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.study import Study
@@ -297,9 +297,8 @@ class SoftTissue(DockValues):
             self.tissue, self.boundary = BRIGHTNESS if by_brightness else made[0], made[1]
         self._watch.hand_brush(self._viewer.layers.selection.active)
         painted = [layer for layer in made if isinstance(layer, Labels)]
-        for layer in painted:  # the deformed image, which they do not move with, is hidden now
-            if not layer.visible:
-                layer.visible = True
+        # The deformed image, which they do not move with, is hidden now.
+        layers_of(self._viewer).want(*painted)
         names = " and ".join(f"'{layer.name}'" for layer in painted)
         self._guide.show_message(messages.PAINT.format(names), "step")
 
@@ -449,9 +448,9 @@ class SoftTissue(DockValues):
         if outputs is not None and self.image is not None:
             put_brush_away(self._viewer)
             self._controller.show_before(False)
-            for tissue in (self._form.tissue.layer, self._controller.curve_layer.layer):
-                if tissue is not None:
-                    tissue.visible = False
+            tissue = (self._form.tissue.layer, self._controller.curve_layer.layer)
+            shown = [each for each in tissue if each is not None]
+            layers_of(self._viewer).want(*shown, wanted=False)
 
     def on_window(self, window: Any) -> None:
         """Connect to the napari window that the dock was added to."""

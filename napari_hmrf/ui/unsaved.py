@@ -40,12 +40,12 @@ from napari_hmrf.io.study_file import (
     second_image_named_in,
     write_study,
 )
-from napari_hmrf.layers.compat import is_quitting, slice_hidden, stop_quitting
+from napari_hmrf.layers.compat import is_quitting, stop_quitting
 from napari_hmrf.layers.image_choice import is_same_image
 from napari_hmrf.layers.landmarks import read_landmarks
 from napari_hmrf.layers.read import study_layers
 from napari_hmrf.layers.unsaved_work import UnsavedWork
-from napari_hmrf.layers.viewer_layers import shared
+from napari_hmrf.layers.viewer_layers import layers_of, shared
 from napari_hmrf.layers.viewer_undo import undo_of
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.study import Study
@@ -272,13 +272,13 @@ class Unsaved:
         layers = study_layers(study)
         if reuse and "image" in layers:
             layers["image"] = self._undrawn_image(layers["image"]) or layers["image"]
+        written = layers_of(self._viewer)
         with self._binding.automatically():
             for layer in layers.values():
                 if layer in self._viewer.layers:
-                    layer.visible = True
-                    continue
-                slice_hidden(self._viewer, layer)
-                self._viewer.add_layer(layer)
+                    written.want(layer)
+                else:
+                    written.add(layer, select=True)
             if (frame := study.grid.place) is not None:
                 first = next(iter(layers.values()))
                 place = SlicePlace(frame.plane, (0,) * first.ndim)
@@ -297,7 +297,7 @@ class Unsaved:
                 self._model.set_measured(measured)
             dock.drawing = drawing
         if (brightness := self._controller.curve_layer.layer) is not None and study.moves:
-            brightness.visible = False  # would tint the deformed image
+            written.want(brightness, wanted=False)  # would tint the deformed image
         overlay = self._controller.form.result.overlay
         if (name := overlay_named_in(path)) in overlay.choices:
             overlay.value = name

@@ -15,7 +15,7 @@ from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.pixel_copy import CHANGES
 from napari_hmrf.layers.still_paint import is_deformed, is_painted, lies_still
 from napari_hmrf.layers.unsaved_work import UnsavedWork
-from napari_hmrf.layers.viewer_layers import shared
+from napari_hmrf.layers.viewer_layers import layers_of, shared
 from napari_hmrf.layers.viewer_undo import undo_of
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.usual_lengths import (
@@ -127,8 +127,7 @@ class ViewerWatch:
         """Hide painted layers, which show the undeformed tissue and would tint the image."""
         shown = [each for each in self._viewer.layers if each.visible]
         shown = [each for each in shown if each in self._painted or lies_still(each)]
-        for layer in shown:
-            layer.visible = False
+        layers_of(self._viewer).want(*shown, wanted=False)
         if shown:
             hidden = messages.describe_hidden_paint(shown)
             self._guide.show_message(f"{self._guide.situation.hint} {hidden}", "step")
@@ -140,8 +139,7 @@ class ViewerWatch:
 
     def hand_brush(self, layer: Any) -> None:
         """Show the active painted layer on the undeformed image, and select its brush."""
-        if not layer.visible:  # an assignment ends the mode of a layer
-            layer.visible = True
+        layers_of(self._viewer).want(layer)
         if isinstance(layer, Labels):
             layer.mode = "paint"
         self._guide.add_aside("")  # the layer is no longer hidden
@@ -164,7 +162,7 @@ class ViewerWatch:
         if image is None:
             self._rest()
         if not self._binding.automatic:
-            hidden = () if image is None else uncover(self._viewer, image)
+            hidden = () if image is None else uncover(layers_of(self._viewer), image)
             if image is not None and not in_middle(self._viewer, image):
                 self._viewer.reset_view()
             self._guide.show_message(messages.describe_image_choice(image, hidden), why="step")

@@ -5,7 +5,7 @@ import gc
 import numpy as np
 import pytest
 from napari.components import ViewerModel
-from napari.layers import Image, Labels, Vectors
+from napari.layers import Labels, Vectors
 from napari.utils._proxies import PublicOnlyProxy
 
 from napari_hmrf.layers import compat
@@ -122,7 +122,7 @@ def test_nodes_of_layers_are_found_outlined_and_faded_in_a_window(unstyled, make
     compat.fade(ViewerModel(), image, 0.2)  # without a window, nothing is drawn
 
 
-def test_layers_are_hidden_in_the_list_and_added_hidden_to_a_3d_view(unstyled, make_napari_viewer):
+def test_layers_are_hidden_in_the_list(unstyled, make_napari_viewer):
     viewer = make_napari_viewer()
     names = ["a", "helper", "b"]
     first, helper, last = (viewer.add_image(np.eye(4), name=name) for name in names)
@@ -142,14 +142,6 @@ def test_layers_are_hidden_in_the_list_and_added_hidden_to_a_3d_view(unstyled, m
     assert listed() == ["b", "c"]
     assert helper in viewer.layers
     compat.hide_in_list(ViewerModel(), last)  # without a window, there is no list
-    viewer.dims.ndisplay = 3
-    for kind in (Image, Labels):
-        layer = kind(np.ones((3, 4, 5), np.uint8), visible=False)
-        compat.slice_hidden(viewer, layer)
-        viewer.add_layer(layer)
-        assert not layer.visible
-        assert viewer.dims.ndisplay == 3
-        layer.visible = True
 
 
 def test_textures_of_a_removed_layer_are_deleted_in_their_context(

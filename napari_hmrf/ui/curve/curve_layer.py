@@ -10,7 +10,7 @@ from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.label_colours import stiffness_colours
 from napari_hmrf.layers.metadata import TISSUE
 from napari_hmrf.layers.result_layers import layer_on
-from napari_hmrf.layers.viewer_layers import same_selection, shared, still_there, update_layer
+from napari_hmrf.layers.viewer_layers import layers_of, shared, still_there
 from napari_hmrf.study.study import Study
 from napari_hmrf.ui.curve.editor import CurveEditor
 
@@ -30,7 +30,7 @@ class CurveLayer:
     """
 
     def __init__(self, viewer: Any, editor: CurveEditor) -> None:
-        self._viewer, self._editor = viewer, editor
+        self._viewer, self._layers, self._editor = viewer, layers_of(viewer), editor
         self._study: Study | None = None
         self._image: Any = None
         self.layer: Any = None
@@ -43,7 +43,7 @@ class CurveLayer:
         if image is not self._image:
             layer, self.layer, self._image, before = self.layer, None, image, None
             if still_there(self._viewer, layer):
-                self._viewer.layers.remove(layer)
+                self._layers.remove(layer)
         if study is None or curve is None:
             return
         intensities = study.intensities
@@ -58,12 +58,10 @@ class CurveLayer:
         look = {"colormap": stiffness_colours(), "opacity": 0.5}
         layer_data = layer_on(place, curve(intensities), name, metadata, look)
         if still_there(self._viewer, self.layer):
-            update_layer(self.layer, layer_data)
+            self._layers.update(self.layer, layer_data)
         else:
             self.layer = Layer.create(*layer_data)
-            layers = self._viewer.layers
-            below = [image, *shared(self._viewer, ResultLayers).pictures_of(image)]
-            with same_selection(self._viewer):
-                layers.insert(max(map(layers.index, below)) + 1, self.layer)
+            pictures = shared(self._viewer, ResultLayers).pictures_of(image)
+            self._layers.add(self.layer, self._layers.above(image, *pictures))
         # Set the lower limit below the softest tissue, so that only void pixels fall below it.
         self.layer.contrast_limits = min(softest / 2, stiffest / 256), stiffest

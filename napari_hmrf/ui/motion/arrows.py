@@ -17,7 +17,7 @@ from napari_hmrf.layers.compat import compile_once, drawn_node, outline_arrows, 
 from napari_hmrf.layers.line_of_sight import DepthDrag, LineOfSight, shows_volume
 from napari_hmrf.layers.metadata import add_metadata
 from napari_hmrf.layers.slice_view import View, plane_shown
-from napari_hmrf.layers.viewer_layers import overwrite, same_selection, still_there
+from napari_hmrf.layers.viewer_layers import layers_of, still_there
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.drawing.marks import Point
 
@@ -73,7 +73,7 @@ class ArrowsLayer:
     """
 
     def __init__(self, viewer: Any, listener: CanvasListener) -> None:
-        self._viewer = viewer
+        self._viewer, self._layers = viewer, layers_of(viewer)
         self._listener = listener
         self._layer: Any = None
         self._frame: Frame | None = None
@@ -111,10 +111,9 @@ class ArrowsLayer:
         if self.layer is None:
             self._add(frame, shape)
         self.place(frame, shape)
-        layers = self._viewer.layers
         self.raise_up()
-        self._layer.visible = True
-        layers.selection = {self._layer}
+        self._layers.want(self._layer)
+        self._viewer.layers.selection = {self._layer}
         self._circle = circle
         self._equip(self._layer)
 
@@ -122,7 +121,7 @@ class ArrowsLayer:
         """Move the layer to the top, if it is in the viewer."""
         layers, layer = self._viewer.layers, self.layer
         if layer is not None and layers[-1] is not layer:
-            layers.move(layers.index(layer), len(layers))
+            self._layers.move(layer, len(layers))
 
     def place(self, frame: Frame, shape: tuple[int, ...], drawn: bool = False) -> None:
         """Place the layer on another slice, if there is a layer or a drawing to show."""
@@ -131,7 +130,7 @@ class ArrowsLayer:
             return
         if layer is None or layer.ndim != frame.ndim:
             active = self.active
-            with same_selection(self._viewer):
+            with self._layers.same_selection():
                 self._add(frame, shape)
             if active:
                 self._viewer.layers.selection = {self._layer}
@@ -162,9 +161,9 @@ class ArrowsLayer:
         lines, colours = map(np.concatenate, zip(*below, own, strict=True))
         placed = frame.put_vectors(lines)
         same = np.array_equal(layer.edge_color, colours)
-        if quick and same and len(lines) and overwrite(self._viewer, layer, placed):
+        if quick and same and len(lines) and self._layers.overwrite(layer, placed):
             return
-        layer.data = placed
+        self._layers.set_data(layer, placed)
         # Setting colours is as slow as drawing lines, so only the first move of a drag sets them.
         if len(lines) and not same:
             # napari does not update the number of lines of a hidden layer.
@@ -206,7 +205,7 @@ class ArrowsLayer:
     def remove(self) -> None:
         """Remove the layer from the viewer."""
         if self.layer is not None:
-            self._viewer.layers.remove(self._layer)
+            self._layers.remove(self._layer)
         self._layer = self._frame = None
 
     def _add(self, frame: Frame, shape: tuple[int, ...]) -> None:
@@ -225,7 +224,7 @@ class ArrowsLayer:
             layer.bind_key(key, lambda _, callback=callback: callback())
         layer.bind_key("Space", self._on_space)
         layer.events.mode.connect(self._on_mode)
-        self._viewer.add_layer(layer)
+        self._layers.add(layer)
         # Otherwise vispy builds a shader program in each update, which takes longer than drawing.
         compile_once(drawn_node(self._viewer, layer))
         outline_arrows(self._viewer, layer)

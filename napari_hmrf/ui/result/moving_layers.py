@@ -20,6 +20,7 @@ from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.read import look_of
 from napari_hmrf.layers.result_layers import Overlay, PlacedSolution
 from napari_hmrf.layers.thick_marks import half_widths, thickened
+from napari_hmrf.layers.viewer_layers import layers_of
 from napari_hmrf.posterior import Uncertainty
 from napari_hmrf.ui.background_jobs import BackgroundJobs
 from napari_hmrf.ui.events import repeating
@@ -134,7 +135,7 @@ class MovingLayers:
             return
         if widths != self._widths:
             self._widths = widths
-            layer.data = thickened(made.layer.data, widths)
+            layers_of(self._viewer).set_data(layer, thickened(made.layer.data, widths))
 
     def ready(self) -> bool:
         """Add the layer of the moving image, if needed; return whether any layer can move."""

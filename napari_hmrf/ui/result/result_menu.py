@@ -27,7 +27,7 @@ from napari_hmrf.layers.metadata import TISSUE, metadata_of, rows_of, tissue_rec
 from napari_hmrf.layers.result_layers import LayerData
 from napari_hmrf.layers.screen_directions import directions_of
 from napari_hmrf.layers.slice_view import View, plane_shown
-from napari_hmrf.layers.viewer_layers import same_selection
+from napari_hmrf.layers.viewer_layers import layers_of
 from napari_hmrf.tissue.drawing import Landmark
 from napari_hmrf.ui.background_jobs import BackgroundJobs
 from napari_hmrf.ui.forms import add_entry, attempt, give_menu
@@ -274,12 +274,12 @@ class ResultMenu:
 
     def _add(self, layer: Any, made: LayerData) -> None:
         """Add a moved layer, which replaces the moved copy of an earlier result."""
-        layers, name = self._viewer.layers, made.attributes["name"]
-        with same_selection(self._viewer):
-            if name in layers and metadata_of(layers[name]).get("kind") == MOVED:
-                layers.remove(name)
-            at = layers.index(layer) + 1 if layer in layers else len(layers)
-            layers.insert(at, layer.create(*made))
+        present, layers = self._viewer.layers, layers_of(self._viewer)
+        name = made.attributes["name"]
+        with layers.same_selection():
+            if name in present and metadata_of(present[name]).get("kind") == MOVED:
+                layers.remove(present[name])
+            layers.add(layer.create(*made), layers.above(layer) if layer in present else None)
 
     def _fill(self) -> None:
         """Fill the menu with the entries that apply now."""
