@@ -11,7 +11,6 @@ from napari.layers import Labels
 from psygnal import Signal
 
 from napari_hmrf.layers.compat import paint_steps, unwrapped
-from napari_hmrf.layers.image_choice import uncover
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, store_table
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_layers import layers_of, shared
@@ -143,9 +142,8 @@ class ViewerUndo:
             if part.kind == "paint" and paint_steps(part.layer, name):
                 self._repeat(part.layer, name)
             image = self.model.image_of(part)
-            if image is not None and image is not self.model.image:
-                self.model.select(image)
-                uncover(self._layers, image)
+            if image is not None:  # Labels are deformed without an image
+                self.model.select(None if isinstance(image, Labels) else image)
             self.go_to(part)
             what += self._of_image(part)
         self.message.emit(nothing if step is None else f"{what}: {step.word}.", step)

@@ -217,12 +217,12 @@ class StudyModel(EditHistory):
     image : hashable or None
         Selected image.
     slice : Part
-        Key of the drawing of the selected slice.
-    selected : Signal(object)
-        Emitted with the image when another image is selected.
+        Key of the drawing of the selected slice; its layer is the layer that is deformed.
+    selected : Signal(object, object)
+        Emitted with the image and the previous image when another image is selected.
     """
 
-    selected = Signal(object)
+    selected = Signal(object, object)
 
     def __init__(self, depth: int = DEPTH) -> None:
         super().__init__(depth)
@@ -231,13 +231,11 @@ class StudyModel(EditHistory):
 
     # Selection
 
-    def select(self, image: Hashable | None) -> bool:
-        """Select an image; return whether there are stored choices for the image."""
-        known = Part("choice", image) in self._now
-        if image is not self.image:
-            self.image = image
-            self.selected.emit(image)
-        return known and image is not None
+    def select(self, image: Hashable | None) -> None:
+        """Select an image."""
+        before, self.image = self.image, image
+        if image is not before:
+            self.selected.emit(image, before)
 
     def select_slice(self, image: Hashable | None, place: Hashable = None) -> None:
         """End any drag in the previous slice, then select the drawing of a slice."""

@@ -61,8 +61,6 @@ class Controller:
     Attributes
     ----------
     reader : StudyReader
-    source : napari.layers.Layer or None
-        Layer that is deformed.
     settling : bool
         True while a cold-start solve is in progress.
     curve_layer : CurveLayer
@@ -103,7 +101,6 @@ class Controller:
         self.reader = StudyReader(viewer, form, binding, model)
         # Study that was read last, without later changes to its drawing.
         self._read: Study | None = None
-        self.source: Layer | None = None
         self._results: weakref.WeakKeyDictionary[Layer, CompleteResult]
         self._results = weakref.WeakKeyDictionary()
         self.settling = False
@@ -135,6 +132,11 @@ class Controller:
         if read is None:
             return None
         return replace(read, motion=replace(read.motion, drawing=self._model.drawing))
+
+    @property
+    def source(self) -> Layer | None:
+        """Layer that is deformed, or None."""
+        return self._model.slice.layer
 
     @property
     def latest(self) -> CompleteResult | None:
@@ -283,7 +285,7 @@ class Controller:
         self.reader.invalidate()  # later changes to layers are not tracked
         self.progress.release()
         self.curve_layer.show(None)
-        self._read = self.source = self._submitted = None
+        self._read = self._submitted = None
         self._failure = self._report = ""
         self.pointer.select_slice(None)
         self.latest_changed.emit()
@@ -319,7 +321,7 @@ class Controller:
         self._read = study
         if is_other:
             if source is not self.source:
-                self.source, self._report = source, ""
+                self._report = ""
             self._submitted = None
             self.pointer.select_slice(study, source)
             self.latest_changed.emit()

@@ -17,13 +17,12 @@ from napari_hmrf.layers.image_choice import (
     image_in_front,
     is_photograph,
     painted_on,
-    uncover,
 )
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.metadata import BOUNDARY, role_of
 from napari_hmrf.layers.read import Request
 from napari_hmrf.layers.slice_view import fits
-from napari_hmrf.layers.viewer_layers import layers_of, shared
+from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.layers.viewer_undo import undo_of
 from napari_hmrf.study.study_model import BRIGHTNESS, ImageChoice, ModelChoice, Part
 from napari_hmrf.tissue.material_presets import PLAIN, PRESETS, Preset
@@ -76,7 +75,6 @@ class FormBinding:
             "compare_with": form.result.second,
             "preset": motion.fields.preset,
         }
-        self._image: Any = None
         self.automatic = False
         # True once the user has chosen or deformed an image; new images then do not replace it.
         self._image_is_fixed = False
@@ -84,14 +82,14 @@ class FormBinding:
         self._image_is_gone = False
         model.select(None)
         motion.boundary.choice.changed.connect(self._on_boundary)
-        form.image.changed.connect(self._on_image)
+        form.image.changed.connect(self._on_chosen)
         for field in (form.extent, form.tissue.choice, motion.boundary.choice):
             field.changed.connect(self._on_extent)
         if model.model_part in model.parts:  # chosen without an image, in a dock that was closed
             form.model.choice = model.model
         for table in form.tables:
             table.changed.connect(self._write_tables)
-        for field in (form.image, *self.fields.values(), form.model, form.model.in_detail):
+        for field in (*self.fields.values(), form.model, form.model.in_detail):
             field.changed.connect(self.write, max_args=0)
         form.tissue.editor.plot.edited.connect(self._use_curve)
         form.tissue.editor.plot.settled.connect(lambda _: model.end())
@@ -99,12 +97,12 @@ class FormBinding:
         form.footer.redo.changed.connect(lambda _: undo.redo())
 
         def show(*_: Any) -> None:
-            form.footer.show_steps(undo, form.image.value)
+            form.footer.show_steps(undo, model.image)
 
-        form.image.changed.connect(show)
         self._connections = EventConnections(
             (model.changed, self._on_changed),
             (model.selected, self._on_selected),
+            (model.selected, show),
             (model.steps_changed, show),
         )
         undo.bind_keys(self)
@@ -143,7 +141,7 @@ class FormBinding:
         if self.automatic:
             self._write(step=False)
         form, model, choice = self._form, self._model, self._model.choice
-        image, tissue = form.image.value, choice.tissue_layer
+        image, tissue = model.image, choice.tissue_layer
         if image is None and (self._image_is_gone or not isinstance(tissue, Labels)):
             raise NoImageError(CHOOSE if self._viewer.layers else WELCOME)
         return Request.of(model, form.view())
@@ -152,18 +150,18 @@ class FormBinding:
 
     def refresh(self, *_: Any) -> None:
         """Update the layer menus; if the image was removed, choose another image."""
-        form, before = self._form, self._form.image.value
+        form, before = self._form, self._model.image
         with self.automatically():
             for choice in form.choices:
                 choice.reset_choices()
             form.motion.boundary.landmarks.refresh()
             form.motion.boundary.landmarks.suggest()
-            if before is not None and form.image.value is None:
+            if before is not None and self._model.image is None:
                 others = (form.tissue.choice.value, form.motion.boundary.confidence.value)
                 images = [layer for layer in form.image.offered if layer not in others]
                 self._image_is_fixed = self._image_is_fixed and bool(images)
                 if images:
-                    form.image.value = images[0]
+                    self._model.select(images[0])
                 else:  # the next image gets the defaults of a first image
                     usual = ImageChoice()
                     form.tissue.border.value = usual.without_border
@@ -176,7 +174,8 @@ class FormBinding:
         viewer, offered = self._viewer, self._form.image.offered
         edited = self._drawn_on or shared(viewer, ResultLayers).sources
         with self.automatically():
-            self._form.image.value = image = image_in_front(viewer, offered, edited)
+            image = image_in_front(viewer, offered, edited)
+            self._model.select(image)
             for layer in reversed(viewer.layers) if image is None else ():
                 self._use_painted(layer)
 
@@ -186,18 +185,16 @@ class FormBinding:
 
     def use_layer(self, layer: Any) -> None:
         """Choose a new layer as a paint layer, or as the image if no other image is in use."""
-        image = self._form.image
-        begun = self._image_is_fixed or (
-            image.value is not None and self._model.next_undo is not None
-        )
+        model, is_offered = self._model, layer in self._form.image.offered
+        begun = self._image_is_fixed or (model.image is not None and model.next_undo is not None)
         with self.automatically():
-            if layer in image.offered and not begun:
-                image.value = layer
-            layers = self._viewer.layers
-            if image.value is None or layer in painted_on(image.value, layers, self._form.view()):
+            if is_offered and not begun:
+                model.select(layer)
+            layers, image = self._viewer.layers, model.image
+            if image is None or layer in painted_on(image, layers, self._form.view()):
                 self._use_painted(layer)
-        if layer in image.offered and begun and not self.automatic:
-            covers = image.value and image_covering(self._viewer, image.value) is layer
+        if is_offered and begun and not self.automatic:
+            covers = image is not None and image_covering(self._viewer, image) is layer
             # Another message reports that a layer covers the image.
             self.message.emit("" if covers else NOT_CHOSEN.format(layer.name))
 
@@ -238,34 +235,51 @@ class FormBinding:
         elif layer is None:
             self._form.motion.edge.value = True
 
-    def _on_image(self, image: Any) -> None:
-        """Show the earlier choices for an image, or choose layers for a new image."""
+    def _on_chosen(self, image: Any) -> None:
+        """Select the image that is chosen in the menu."""
         self._image_is_fixed = self._image_is_fixed or not self.automatic
-        before, self._image = self._image, image
-        if before is image:
-            return
+        if image is not self._model.image:
+            self._image_is_gone = image is None
+            self._model.select(image)
+
+    def _on_selected(self, image: Any, before: Any) -> None:
+        """Show the earlier choices for an image, or choose layers for a new image.
+
+        Raises
+        ------
+        HmrfError
+            If the image is not in the viewer; the previous image remains selected.
+        """
+        form, model = self._form, self._model
+        if image is not None and image not in form.image.offered:
+            model.select(before)
+            raise HmrfError(
+                f"'{image.name}' is not an image in this viewer. Add it to the viewer first."
+            )
         # Choices made before the first image, or for a removed image, apply to the next image.
         keep_choices = before is None or (image is None and self.automatic)
-        self._image_is_gone = image is None
-        known = self._model.select(image)
-        choice = self._model.choice
+        known, choice = Part("choice", image) in model.parts, model.choice
         with self.automatically():
+            if image is not form.image.value:
+                form.image.value = image
+                self._image_is_gone = False
+            form.result.second.reset_choices()
             if image is not None:
                 self._offer_presets(None)
             if not keep_choices:
                 self._show(ImageChoice())
-            if not keep_choices or self._model.model_part in self._model.parts:
-                self._show_model(self._model.model)
-            self._form.extent.show_for(image)
-            self._form.tissue.offer(self._model.curve)
-            if known:
+            if not keep_choices or model.model_part in model.parts:
+                self._show_model(model.model)
+            form.extent.show_for(image)
+            form.tissue.offer(model.curve)
+            if image is not None and known:
                 self._show(choice)
             elif image is not None:
                 self._begin_with(image)
 
     def _offer_presets(self, chosen: Preset | None) -> None:
         """Offer all presets, and show the chosen one; by default, one for the kind of image."""
-        image = self._form.image.value
+        image = self._model.image
         usual = PLAIN if image is not None and is_photograph(image) else PRESETS[0]
         self._form.motion.fields.offer_presets(usual, chosen)
 
@@ -312,8 +326,7 @@ class FormBinding:
 
     def write(self, *, step: bool = True) -> None:
         """Write the values of the forms to the model, unless the program is changing them."""
-        # While another image is being chosen, the form contains values of both images.
-        if not self.automatic and self._form.image.value is self._model.image:
+        if not self.automatic:
             self._write(step)
 
     def _write(self, step: bool) -> None:
@@ -346,7 +359,7 @@ class FormBinding:
 
     def _use_curve(self, curve: StiffnessCurve) -> None:
         """Use a curve for the image: its first curve, or the next state of an edited curve."""
-        image = self._form.image.value
+        image: Any = self._model.image
         if image is None:
             raise HmrfError(WELCOME)
         word = f"changed the curve of '{image.name}'"
@@ -358,31 +371,13 @@ class FormBinding:
 
     # From the model to the forms
 
-    def _on_selected(self, image: Any) -> None:
-        """Show the selected image in the form; raise an error if it is not in the viewer."""
-        form = self._form
-        if image is form.image.value:
-            return
-        if image is not None and image not in form.image.offered:
-            self._model.select(form.image.value)
-            raise HmrfError(
-                f"'{image.name}' is not an image in this viewer. Add it to the viewer first."
-            )
-        with self.automatically():
-            form.image.value = image
-        self._image_is_gone = False
-
     def _on_changed(self, part: Part, value: Any, _: Any = None) -> None:
-        """Show a changed part in the form, and choose the image that the part belongs to."""
+        """Show a changed part in the form."""
         form = self._form
-        if part.kind == "drawing" and part.layer is form.image.value:
+        if part.kind == "drawing":
             return
         with self._showing():
-            others = [each for each in form.image.offered if each is not form.image.value]
-            if part.kind in ("drawing", "choice", "model") and part.layer in others:
-                form.image.value = part.layer
-                uncover(layers_of(self._viewer), part.layer)
-            is_current = part.layer is form.image.value
+            is_current = part.layer is self._model.image
             if part.kind == "model" and is_current:
                 form.model.choice = value
             elif part.kind == "choice" and is_current:

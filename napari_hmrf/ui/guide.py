@@ -50,7 +50,7 @@ class Guide:
         form.tissue.editor.refusal.connect(self.refuse)
         pointer.message.connect(self._on_pointer)
         pointer.refusal.connect(self.refuse)
-        pressed = (form.footer.deform.changed, form.motion.picked, form.image.changed)
+        pressed = (form.footer.deform.changed, form.motion.picked)
         for begun in (form.edited, pointer.drawn, pointer.action_started, *pressed):
             begun.connect(self._on_begun)
         controller.refusal.connect(self.refuse)
@@ -61,7 +61,10 @@ class Guide:
         for signal in (*changes, form.result.overlay.changed, form.model.model.changed):
             signal.connect(self.show)
         controller.result_drawn.connect(self._on_followed)
-        self._connections = EventConnections((undo.message, self._on_step))
+        self._model = undo.model
+        self._connections = EventConnections(
+            (undo.message, self._on_step), (undo.model.selected, self._on_begun)
+        )
 
     def release(self) -> None:
         """Disconnect from the undo messages of the viewer."""
@@ -81,12 +84,12 @@ class Guide:
         """Return the situation; which image covers the chosen one takes time, and is for hints."""
         form, pointer, viewer = self._form, self._pointer, self._viewer
         tool, is_active, moved = pointer.tool, pointer.active, pointer.display.moved
-        image = still_there(viewer, form.image.value) if with_hint else None
+        image = still_there(viewer, self._model.image) if with_hint else None
         other = None if image is None else image_covering(viewer, image)
         place = None if moved is None else moved.study.grid.known_place
         tissue, boundary = form.tissue.choice.value, form.motion.boundary.choice.value
         return Situation(
-            has_image=form.image.value is not None,
+            has_image=self._model.image is not None,
             has_layers=bool(viewer.layers),
             lacks_tissue=tissue is None,
             lacks_boundary=boundary is None,

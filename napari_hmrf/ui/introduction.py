@@ -63,7 +63,7 @@ class Introduction:
             self._controller.show_before(False)
 
     def _on_slice(self, study: Study) -> None:
-        image = self._controller.form.image.value
+        image = self._controller.source
         self.end()
         if image is None or image in self._known or _plugin_of(image) != _PLUGIN:
             return

@@ -11,8 +11,8 @@ from qtpy.QtWidgets import QGridLayout, QLabel
 
 from napari_hmrf.layers.compat import camera_of
 from napari_hmrf.layers.screen_directions import Sides
+from napari_hmrf.study.study_model import StudyModel
 from napari_hmrf.ui.events import EventConnections
-from napari_hmrf.ui.layer_choice import LayerChoice
 
 #: Style that is legible on dark and on bright tissue.
 _STYLE = (
@@ -34,18 +34,19 @@ class PatientSides:
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
-    image : LayerChoice
+    model : StudyModel
+        Model with the selected image.
     """
 
-    def __init__(self, viewer: Any, image: LayerChoice) -> None:
-        self._viewer, self._image = viewer, image
+    def __init__(self, viewer: Any, model: StudyModel) -> None:
+        self._viewer, self._model = viewer, model
         self._labels: list[QLabel] = []
         dims = viewer.dims.events
         self._connections = EventConnections(
             (dims.order, self.refresh),
             (dims.ndisplay, self.refresh),
             (camera_of(viewer).events.orientation, self.refresh),
-            (image.changed, self.refresh),
+            (model.selected, self.refresh),
             (viewer.layers.events, self._on_layers),
         )
 
@@ -74,7 +75,7 @@ class PatientSides:
 
     def refresh(self, *_: Any) -> None:
         """Update the letters for the visible slice."""
-        letters = Sides.of(self._image.value, self._viewer)
+        letters = Sides.of(self._model.image, self._viewer)
         for label, letter in zip(self._labels, letters, strict=False):
             label.setText(letter)
             label.setVisible(bool(letter))

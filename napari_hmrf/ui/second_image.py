@@ -64,18 +64,19 @@ class SecondImage:
         self._viewer, self._view, self._controller = viewer, view, controller
         self._model = model
         self._results = shared(viewer, ResultLayers)
-        self._image, self._form = controller.form.image, controller.form.result
+        self._form = controller.form.result
         self._pair = controller.form.motion.boundary.landmarks
         # Settings of the compared layers, and index and visibility of the second image, before
         # the comparison.
         self._before: dict[Any, dict[str, Any]] = {}
         self._place, self._was_wanted = 0, True
-        choices = (self._image, self._form.second, self._pair.sources, self._pair.targets)
+        choices = (self._form.second, self._pair.sources, self._pair.targets)
         # True if the result belongs to earlier inputs, because the current inputs were refused.
         self._is_outdated = False
         changes = (view.view_changed, *(choice.changed for choice in choices))
         self._connections = EventConnections(
             (viewer.layers.events.inserted, self.refresh),
+            (model.selected, self.refresh),
             (controller.outdated, self._on_outdated),
             (controller.deformation_changed, self._on_deformation),
             *((change, self.refresh) for change in changes),
@@ -96,7 +97,7 @@ class SecondImage:
 
     def refresh(self, *_: Any) -> None:
         """Show the second image over the deformed image, and measure the landmarks."""
-        image = self._image.value
+        image = self._model.image
         moved = [] if image is None else [image, *self._results.pictures_of(image)]
         self._draw(self._form.second.value, moved)
         self._points.release()

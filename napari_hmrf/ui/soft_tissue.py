@@ -26,6 +26,7 @@ from napari_hmrf.ui import messages
 from napari_hmrf.ui.controller import Controller
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.dock_values import DockValues
+from napari_hmrf.ui.events import EventConnections
 from napari_hmrf.ui.fitting import Fitting
 from napari_hmrf.ui.form_binding import FormBinding
 from napari_hmrf.ui.forms import attempt
@@ -114,7 +115,7 @@ class SoftTissue(DockValues):
         results = shared(viewer, ResultLayers)
         self._view = ResultView(self.native, viewer, form.result, results)
         controller.overlay_monitor = lambda: self._view.overlay_monitor
-        form.image.changed.connect(self._view.select_image)
+        self._connections = EventConnections((undo.model.selected, self._view.select_image))
         self._guide = Guide(viewer, controller, undo)
         self._carry_over = CarryOver(
             form.carry_over,
@@ -130,7 +131,7 @@ class SoftTissue(DockValues):
         self._fitting = Fitting(controller, undo.model)
         for job in (self._registering.job, self._fitting.job):
             job.message.connect(partial(self._guide.show_message, why="step"))
-        self._sides = PatientSides(viewer, form.image)
+        self._sides = PatientSides(viewer, undo.model)
         self._unsaved = Unsaved(self, viewer, controller, self._try)
         self.fields, self.more = form.motion.fields, self._view.more
         self.deformation_changed, self.result_drawn, self.finished = (
@@ -466,6 +467,7 @@ class SoftTissue(DockValues):
             self._pointer.leave()
             self._view.rest()
         parts = (
+            self._connections,
             self._second,
             self._registering,
             self._fitting,

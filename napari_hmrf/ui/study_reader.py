@@ -118,7 +118,7 @@ class StudyReader:
         HmrfError
             If the slice cannot be read, or if all its pixels have the same value.
         """
-        image = self._form.image.value
+        image = self._model.image
         study = self.read(Request(image=image, view=self._form.view(), drawing=Drawing()))
         assert study.intensities is not None
         return first_curve(study.intensities)

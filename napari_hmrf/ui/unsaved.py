@@ -154,7 +154,7 @@ class Unsaved:
         self._connections = EventConnections(
             (self._model.changed, self._on_edited),
             (viewer.layers.events.inserted, self._on_images),
-            (controller.form.image.changed, self._on_images),
+            (self._model.selected, self._on_images),
             (controller.form.result.second.changed, self._on_images),
         )
         self._gui = GuiThread()
@@ -222,7 +222,7 @@ class Unsaved:
     def _choose_second(self) -> None:
         """Choose the second image that an opened study names, once it is in the viewer."""
         (image, name), second = self._awaited, self._controller.form.result.second
-        if name and image is self._dock.image and second.value is None:
+        if name and image is self._model.image and second.value is None:
             named = [layer for layer in second.offered if layer.name == name]
             if named:
                 with self._binding.automatically():
@@ -301,7 +301,7 @@ class Unsaved:
         overlay = self._controller.form.result.overlay
         if (name := overlay_named_in(path)) in overlay.choices:
             overlay.value = name
-        self._awaited = dock.image, second_image_named_in(path)
+        self._awaited = self._model.image, second_image_named_in(path)
         self._choose_second()
         self._missing.show_name(self._awaited[1])
         dock.fit_view()

@@ -76,7 +76,6 @@ class ViewerWatch:
         controller.slice_changed.connect(self._on_moved)
         self._slice = self._slice_shown
         self._form.edited.connect(self._on_choice)
-        self._form.image.changed.connect(self._on_image)
         self._callbacks: dict[str, Any] = {
             "inserted": self._on_inserted,
             "removed": self._on_removed,
@@ -90,6 +89,7 @@ class ViewerWatch:
             (viewer.layers.events, self._on_layers),
             (viewer.layers.selection.events.active, self._on_active),
             (viewer.dims.events, self._on_slice),
+            (self._model.selected, self._on_image),
         )
         self._results.paint_hidden.connect(self._on_paint_hidden)
         self._results.before_changed.connect(self._on_before)
@@ -119,7 +119,7 @@ class ViewerWatch:
     def _on_first(self) -> None:
         """Emit `first_image_ready`, unless a painted layer is chosen or another layer is active."""
         has_paint = any(layer is not None for layer in self._painted)
-        is_active = self._viewer.layers.selection.active in (None, self._form.image.value)
+        is_active = self._viewer.layers.selection.active in (None, self._model.image)
         if is_active and not has_paint:
             self.first_image_ready.emit()
 
@@ -156,7 +156,7 @@ class ViewerWatch:
         self._controller.schedule_refresh()
         self._guide.show()
 
-    def _on_image(self, image: Any) -> None:
+    def _on_image(self, image: Any, _: Any = None) -> None:
         """Show the chosen image and its results, and hide the results of other images."""
         self._results.show_only(image)
         if image is None:
@@ -215,7 +215,7 @@ class ViewerWatch:
 
     def _reads(self, layer: Any) -> bool:
         """Return whether the study is read from a layer."""
-        return layer in (self._form.image.value, *self._model.choice.layers)
+        return layer in (self._model.image, *self._model.choice.layers)
 
     def _on_inserted(self, event: Any) -> None:
         self._binding.refresh()
@@ -254,7 +254,7 @@ class ViewerWatch:
     def _on_left(self) -> None:
         """Remove the results of removed images, and the tools if no image is left."""
         self._results.remove_orphans()
-        if self._form.image.value is None and self._controller.study is None:
+        if self._model.image is None and self._controller.study is None:
             self._pointer.leave()
             self.update_mouse_mode()
         if self._removal_message:

@@ -49,7 +49,7 @@ def study_of(model):
 def edited_model(layers):
     """Return a model after seven edits: choices, tables, a drawing and model settings."""
     model = StudyModel()
-    assert not model.select(layers["image"])
+    model.select(layers["image"])
     model.choose(step=False, hold_edge=False)
     model.choose(tissue=layers["tissue"])
     model.set_table("tissue", layers["tissue"], RowTable((SOFT,)))
@@ -168,7 +168,7 @@ def test_choices_apply_to_one_image_only(layers):
     model.select(other)
     assert model.choice == ImageChoice()
     model.choose(hold_edge=False)
-    assert model.select(layers["image"])
+    model.select(layers["image"])
     assert model.choice == ImageChoice(tissue=layers["tissue"], weight=(1.0, 0.0))
 
 

@@ -1,11 +1,13 @@
 """Tests of the undo keys, which undo the last edit: painted, drawn or typed."""
 
+import numpy as np
 import pytest
 from napari.components import ViewerModel
 from napari.layers import Vectors
 from qtpy.QtCore import Qt
 
 from napari_hmrf.layers.viewer_undo import undo_of
+from napari_hmrf.tissue.drawing import Drawing, Landmark
 from napari_hmrf.ui.soft_tissue import SoftTissue
 from tests.support.docks import quick
 from tests.support.person import CTRL, SHIFT
@@ -52,6 +54,18 @@ def test_paint_and_typed_numbers_are_undone_in_reverse_order_and_reported(pointe
     assert dock.materials[1].stiffness == 33
     person.paint((10, 1), (10, 4), (10, 8))
     assert not screen.button("Redo").isEnabled(), "redo is possible after a new edit"
+
+
+def test_marks_on_tissue_without_an_image_are_undone(frame, at_rest):
+    tissue = frame.viewer.add_labels(np.pad(np.ones((10, 10), int), 4))
+    dock = quick(frame.open())
+    dock.tissue = tissue
+    dock.drawing = drawing = Drawing((Landmark((8.0, 8.0), (9.0, 9.0), 1.0),))
+    dock.drawing = Drawing((*drawing.marks, Landmark((10.0, 8.0), (10.0, 9.0), 1.0)))
+    dock.undo()
+    assert dock.drawing == drawing
+    assert dock.status == "Undid: replaced the drawing."
+    at_rest()
 
 
 def test_undo_keys_of_a_deleted_owner_are_released():

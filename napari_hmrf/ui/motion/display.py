@@ -25,6 +25,7 @@ from napari_hmrf.layers.viewer_layers import shared, still_there
 from napari_hmrf.layers.volume_look import VolumeLook
 from napari_hmrf.study.engine import Deformation
 from napari_hmrf.study.study import Study
+from napari_hmrf.study.study_model import StudyModel
 from napari_hmrf.tissue.drawing import Drawing, Stroke
 from napari_hmrf.tissue.drawing.canvas import box_of, covered
 from napari_hmrf.tissue.drawing.marks import Point
@@ -46,6 +47,8 @@ class Display:
     native : QWidget
         The dock.
     viewer : napari.Viewer or ViewerModel
+    model : StudyModel
+        Model with the selected slice and its drawing.
     listener : CanvasListener
         Receiver of the mouse and key events.
 
@@ -60,7 +63,9 @@ class Display:
         True while the program itself adds or removes layers.
     """
 
-    def __init__(self, native: Any, viewer: Any, listener: CanvasListener) -> None:
+    def __init__(
+        self, native: Any, viewer: Any, model: StudyModel, listener: CanvasListener
+    ) -> None:
         self.arrows = ArrowsLayer(viewer, listener)
         self.state: ShownDeformation | None = None
         # Paint, deformed with the tissue, and the current stroke, which is drawn on top.
@@ -68,9 +73,8 @@ class Display:
         self._stroke: Stroke | None = None
         self._shows_confidence = False
         self.tissues: dict[int, Any] = {}
-        self._viewer = viewer
+        self._viewer, self._model = viewer, model
         self._results = shared(viewer, ResultLayers)
-        self._image: Any = None
         # Displayed image, and whether it is a private copy with newer slices.
         self._whole: Any = None
         self._is_copy = False
@@ -88,33 +92,41 @@ class Display:
     @property
     def result(self) -> Result | None:
         """Result layers of the visible slice, or None."""
-        moved = self.moved
-        if moved is None or self._image is None:
+        moved, source = self.moved, self._source
+        if moved is None or source is None:
             return None
-        return self._results.at(self._image, moved.study.grid.known_place.slice_name)
+        return self._results.at(source, moved.study.grid.known_place.slice_name)
 
-    def select_slice(self, study: Study | None, image: Any, drawn: bool) -> None:
-        """Switch to another slice in its undeformed state, or to no slice if `study` is None."""
+    @property
+    def _source(self) -> Any:
+        """Layer that is deformed, or None."""
+        return self._model.slice.layer
+
+    def close_slice(self) -> None:
+        """Remove what is shown of the selected slice, except a result."""
         self._stroke_timer.stop()
-        before, moved = self.result, self.moved
+        result, moved = self.result, self.moved
         self._volume_look.release()
-        self._image = image
-        self.state = self._painted = self._stroke = None
-        self._whole, self._is_copy = None if study is None else study.pictures.image, False
+        self.state = self._painted = self._stroke = self._whole = None
+        self._is_copy = False
         with self.program_changes():
-            if before is not None and moved is not None:
-                before.drop_paint()
+            if result is not None and moved is not None:
+                result.drop_paint()
                 if moved.ground is not None and not moved.moves:
-                    before.remove()  # the displayed image is undeformed
-            if study is not None:
-                self.state = ShownDeformation(Deformation(study, image=study.pictures.image))
-                self.arrows.place(study.grid.known_place, study.grid.shape, drawn)
-                self._results.show_extent(image, study.grid.known_place)
+                    result.remove()  # the displayed image is undeformed
+
+    def open_slice(self, study: Study) -> None:
+        """Show the slice that was selected, in its undeformed state."""
+        place, self._whole = study.grid.known_place, study.pictures.image
+        self.state = ShownDeformation(Deformation(study, image=study.pictures.image))
+        with self.program_changes():
+            self.arrows.place(place, study.grid.shape, bool(self._model.drawing.marks))
+            self._results.show_extent(self._source, place)
 
     @property
     def covering(self) -> Any:
         """Other image layer that covers this result at the cursor, or None."""
-        image, result = still_there(self._viewer, self._image), self.result
+        image, result = still_there(self._viewer, self._source), self.result
         picture = None if result is None else result.layer("image")
         lowest = picture if picture is not None and picture.visible else image
         place = [self._viewer.cursor.position]
@@ -125,7 +137,7 @@ class Display:
     @property
     def visible_image(self) -> Any:
         """Layer of the deformed image if it is visible, else the chosen image, or None."""
-        image, result = still_there(self._viewer, self._image), self.result
+        image, result = still_there(self._viewer, self._source), self.result
         picture = None if result is None else result.layer("image")
         return picture if picture is not None and picture.visible else image
 
@@ -222,11 +234,11 @@ class Display:
             shown[PAINTED] = painted_layer(place, picture, self.tissues)
         if result is not None:
             result.drop_paint(besides=shown)
-        self._results.show(self._image, place, shown, moving=moving)
+        self._results.show(self._source, place, shown, moving=moving)
         self._fade(self._is_faded)  # the layers may be new
         is_volume = result is not None and len(place.plane) == 3
         picture_shown = result.layer("image") if is_volume and result is not None else None
-        self._volume_look.link(self._image, picture_shown)
+        self._volume_look.link(self._source, picture_shown)
 
     def show_confidence(self, is_shown: bool) -> None:
         """Show the painted confidence, or remove its picture."""

@@ -90,7 +90,7 @@ class Pointer:
     def __init__(self, native: Any, viewer: Any, fields: ToolFields, undo: ViewerUndo) -> None:
         self._fields, self._undo, self._model = fields, undo, undo.model
         self._model.select_slice(None)
-        self.display = Display(native, viewer, self)
+        self.display = Display(native, viewer, undo.model, self)
         self.tool = self._create_tool(BY_NAME["pull"])
         self._show_cursor()
         # Text overlay in a corner of the canvas, and the text last written there by this object.
@@ -151,9 +151,11 @@ class Pointer:
         """
         self.release()
         self._early_drags.clear()
+        self.display.close_slice()
         place = None if study is None else SlicePlace.of(study.grid.known_place)
         self._model.select_slice(None if study is None else image, place)
-        self.display.select_slice(study, image, bool(self.drawing.marks))
+        if study is not None:
+            self.display.open_slice(study)
         self.tool = self._create_tool(type(self.tool))
         self.pulled.emit("")
         self.draw()

@@ -102,7 +102,6 @@ class ResultForm(Container):
             "deformed image in magenta; where both images agree, the sum is grey",
             if_any=True,
         )
-        image.changed.connect(self.second.reset_choices)
         self.save = PushButton(
             text="Save pictures ...",
             tooltip="Save figures as PNG files in a new folder: displacement, before and after, "

@@ -163,7 +163,7 @@ class ResultView:
 
     # Actions
 
-    def select_image(self, image: Any) -> None:
+    def select_image(self, image: Any, _: Any = None) -> None:
         """Select the result of an image; do nothing if its result is already selected."""
         shown, layers = self.shown, self._viewer.layers
         if shown is not None and shown.source in (None, image):
