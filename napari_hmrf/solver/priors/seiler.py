@@ -66,9 +66,10 @@ class SeilerPrior:
         site slips where the force would exceed this limit. K is the energy of one pixel of
         deviation from the observation. By default, it is 10^4 in uniform tissue (3 x 10^4 in
         volumes, which have three times as many cliques). In other tissue, this value is multiplied
-        by the largest curvature of the energy of the cliques centred at an observed site, in any
-        component and on any level, relative to uniform tissue, so that boundaries do not slip in
-        any tissue. Both readings have the same K.
+        by a ratio, so that boundaries do not slip in any tissue: the largest curvature of the
+        energy of the cliques centred at a site that is observed in any component, in any component
+        and on any level, over the largest curvature of a component in uniform tissue. Both
+        readings have the same K.
     conditional : {"centred", "blanket"}
         Cliques that determine the displacement of a site (line 8 of the algorithm). ``"centred"``:
         the cliques centred at the site. ``"blanket"``: all cliques that contain the site, which is
