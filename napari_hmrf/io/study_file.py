@@ -32,7 +32,7 @@ from napari_hmrf.solver.solution import SOLUTION_FORMAT, SUM, Solution
 from napari_hmrf.solver.solve import Progress
 from napari_hmrf.study.ground import build_problem, solve_study
 from napari_hmrf.study.measured_motion import MeasuredMotion
-from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
+from napari_hmrf.study.study import SWITCHES, Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.cavity import Cavity
 from napari_hmrf.tissue.drawing.record import drawing_of, held_motion, record_of
@@ -349,7 +349,7 @@ def _describe(content: _Content) -> tuple[array_file.Header, array_file.Arrays]:
             "without_border": tissue.without_border,
         },
         "motion": {
-            "hold_edge": motion.hold_edge,
+            **{each.name: bool(getattr(motion, each.name)) for each in SWITCHES},
             "rules": [asdict(row) for row in motion.rules],
             "drawing": record_of(motion.drawing),
             "weight": list(motion.weight),
@@ -430,7 +430,7 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> _Content:
                 without_border=bool(tissue["without_border"]),
             ),
             Motion(
-                hold_edge=bool(motion["hold_edge"]),
+                **{each.name: bool(motion[each.name]) for each in SWITCHES},
                 labels=arrays.get("boundary_labels"),
                 rules=_RULES.validate_python(motion["rules"]),
                 observed=arrays.get("observed"),

@@ -24,8 +24,13 @@ from napari_hmrf.layers.metadata import (
     role_of,
 )
 from napari_hmrf.layers.result_layers import Kind, LayerData
-from napari_hmrf.layers.still_paint import hide_still_paint, layer_painted, lies_still
-from napari_hmrf.layers.viewer_layers import ViewerLayers, layers_of, still_there
+from napari_hmrf.layers.viewer_layers import (
+    ViewerLayers,
+    layer_painted,
+    layers_of,
+    lies_still,
+    still_there,
+)
 
 #: Kind of the layer that shows painted confidence.
 CONFIDENCE: Literal["painted confidence"] = "painted confidence"
@@ -327,7 +332,7 @@ class Result:
 
     def hide_paint(self) -> None:
         """Hide painted layers, which do not move, while the deformed image is visible."""
-        hidden = hide_still_paint(self._layers)
+        hidden = self._layers.hide_still_paint()
         if hidden:
             self._paint_hidden(hidden)
 

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from napari.layers import Labels, Layer, Vectors
 
-from napari_hmrf.errors import LayerError, naming
+from napari_hmrf.errors import HmrfError, LayerError, naming
 from napari_hmrf.field.brightness import edge_confidence
 from napari_hmrf.field.displacement_field import DisplacementField
-from napari_hmrf.field.frame import Frame
+from napari_hmrf.field.frame import Frame, SlicePlace
 from napari_hmrf.field.observation import arrow_observation
 from napari_hmrf.layers.arrow_layer import NAME as ARROWS
 from napari_hmrf.layers.field_layer import field_layer, field_of, holds_field
@@ -32,15 +32,15 @@ from napari_hmrf.layers.metadata import (
 from napari_hmrf.layers.pixel_copy import LayerCopies
 from napari_hmrf.layers.result_layers import layer_on
 from napari_hmrf.layers.slice_view import View, check_size, frame_of, plane_shape
+from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.volume_memory import STUDY, require_memory
-from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
-from napari_hmrf.study.study_model import BRIGHTNESS, StudyModel
+from napari_hmrf.study.study import Conditions, Grid, Motion, Pictures, Study, Tissue
+from napari_hmrf.study.study_model import BRIGHTNESS, Part, StudyModel
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
-from napari_hmrf.tissue.cavity import Cavity
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.material_presets import Preset
-from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
+from napari_hmrf.tissue.stiffness_curve import StiffnessCurve, first_curve
 
 #: Value of `Request.confidence` that sets the confidence to 1 at edges in the image, 0 elsewhere.
 EDGES = "edges"
@@ -53,8 +53,10 @@ _MOST_ARROWS = 2000
 
 
 @dataclass(frozen=True)
-class Request:
+class Request(Conditions):
     """Layers, tables and options selected by the user, with the drawing and the visible slice.
+
+    The `Conditions` on the tissue are given by name.
 
     Attributes
     ----------
@@ -77,8 +79,6 @@ class Request:
         0 elsewhere. By default, the confidence is 1 everywhere.
     view : View, optional
         Visible slice; by default, the first slice along the last two axes.
-    hold_edge : bool
-        True if the outer edge of the tissue is fixed.
     drawing : Drawing, optional
         Drawn and painted marks, which take precedence; None if there is no drawing.
     preset : Preset, optional
@@ -88,8 +88,6 @@ class Request:
         True if unlabelled pixels in the dark border of the image are not tissue.
     curve : StiffnessCurve, optional
         Curve from the intensity of `image` to stiffness, used instead of `tissue`.
-    weight : tuple of float
-        Body force along each axis, as in `Motion`.
     """
 
     tissue: Any = None
@@ -99,13 +97,10 @@ class Request:
     rules: tuple[BoundaryRule, ...] | None = None
     confidence: Any = None
     view: View | None = None
-    hold_edge: bool = False
     drawing: Drawing | None = None
     preset: Preset | None = None
     without_border: bool = False
     curve: StiffnessCurve | None = None
-    weight: tuple[float, ...] = ()
-    cavity: Cavity = field(default_factory=Cavity)
 
     @classmethod
     def of(cls, model: StudyModel, view: View) -> Request:
@@ -129,13 +124,11 @@ class Request:
             rules=None if rules is None else rules.rows,
             confidence=choice.confidence if isinstance(boundary, Vectors) else None,
             view=view,
-            hold_edge=choice.hold_edge,
             drawing=model.drawing,
             preset=choice.preset,
             without_border=choice.without_border,
             curve=model.curve if choice.tissue == BRIGHTNESS else None,
-            weight=choice.weight,
-            cavity=choice.cavity,
+            **choice.conditions,
         )
 
     @property
@@ -193,8 +186,7 @@ class _Reader:
     def study(self) -> Study:
         request, frame, reference = self._request, self._frame, self._reference
         image = None if request.image is None else self._slice(request.image)
-        tissue, motion = self._tissue(), self._motion()
-        motion = replace(motion, weight=request.weight, cavity=request.cavity)
+        tissue, motion = self._tissue(), replace(self._motion(), **request.conditions)
         parts = {
             "image": reference,
             "tissue": request.tissue,
@@ -265,11 +257,9 @@ class _Reader:
         drawing = request.drawing or Drawing()
         if isinstance(layer, Vectors):
             observed, confidence = self._observed(layer)
-            return Motion(
-                request.hold_edge, observed=observed, confidence=confidence, drawing=drawing
-            )
+            return Motion(observed=observed, confidence=confidence, drawing=drawing)
         if layer is None:
-            return Motion(request.hold_edge, drawing=drawing)
+            return Motion(drawing=drawing)
         labels = self._slice(layer)
         if request.drawing is None and not labels.any():
             slice_name = frame_of(layer, request.view).slice_seen
@@ -280,7 +270,7 @@ class _Reader:
             )
         rules = request.rules
         rules = rows_of(layer, BOUNDARY) if rules is None else tuple(rules)
-        return Motion(request.hold_edge, labels, rules, drawing=drawing)
+        return Motion(labels=labels, rules=rules, drawing=drawing)
 
     def _observed(self, layer: Any) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
         """Return the displacements of an arrow layer or a field layer, and their confidence."""
@@ -357,7 +347,7 @@ def study_layers(study: Study) -> dict[str, Any]:
     """Create the layers of a study; the inverse of `study_from_layers`.
 
     If the study has no place in world coordinates, the layers are at the origin. The drawing, the
-    model and the option `hold_edge` are not converted to layers.
+    model and the conditions are not converted to layers.
 
     Parameters
     ----------
@@ -415,3 +405,133 @@ def study_layers(study: Study) -> dict[str, Any]:
         look = {"contrast_limits": (0, 1), "opacity": 0.3}
         add("confidence", "Confidence", confidence, look)
     return layers
+
+
+#: Attributes of a `Request` that define each part of a study.
+_FIELDS: dict[str, tuple[str, ...]] = {
+    "motion": ("boundary", "rules", "confidence"),
+    "tissue": ("tissue", "materials", "curve"),
+}
+
+
+class NoImageError(HmrfError):
+    """There is neither an image nor tissue labels to deform."""
+
+
+class StudyReader:
+    """Reader of the study defined by the layers and choices of a dock.
+
+    Layers are read again only if they have changed.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+    model : StudyModel
+        Model with the choices.
+    settle : callable
+        Called before the choices are read, so that they are all in the model.
+    """
+
+    def __init__(self, viewer: Any, model: StudyModel, settle: Callable[[], object]) -> None:
+        self._viewer, self._model, self._settle = viewer, model, settle
+        self._copies: LayerCopies = shared(viewer, LayerCopies)
+
+    @property
+    def view(self) -> View:
+        """View of the visible slice, or of the volume if the chosen extent is "volume"."""
+        return View.of(self._viewer.dims, self._model.choice.extent == "volume")
+
+    def request(self) -> Request:
+        """Return the current choices, with the visible slice and its drawing.
+
+        Raises
+        ------
+        NoImageError
+            If neither an image nor tissue labels are chosen.
+        """
+        self._settle()
+        model = self._model
+        can_do_without = isinstance(model.choice.tissue_layer, Labels) and not model.image_is_gone
+        if model.image is None and not can_do_without:
+            raise NoImageError("Choose an image, or open one (File > Open).")
+        request = Request.of(model, self.view)
+        return replace(request, drawing=self._model.get(_slice_of(request), Drawing()))
+
+    def read(self, request: Request) -> Study:
+        """Read the study of a request, with the chosen model and solver settings.
+
+        Raises
+        ------
+        HmrfError
+            If a layer cannot be read.
+        """
+        model = self._model.model
+        study = study_from_layers(request, self._copies)
+        place = SlicePlace.of(study.grid.known_place)
+        motion = replace(
+            study.motion,
+            typical_strain=model.strain,
+            drift=model.drift,
+            measured=self._model.get(Part("measured", request.layers[0], place)),
+        )
+        return replace(study, motion=motion, prior=model.prior, optimizer=model.optimizer)
+
+    def read_partly(self, last: Study | None) -> Study | None:
+        """Read the selected slice, and take the parts that cannot be read from an earlier study.
+
+        Parameters
+        ----------
+        last : Study or None
+            Last study that was read, with the current drawing of the selected slice.
+
+        Returns
+        -------
+        Study or None
+            None if the image cannot be read, and there is no earlier study.
+        """
+        try:
+            request = self.request()
+            if _slice_of(request) != self._model.slice:
+                return last  # a slice is displayed that could not be selected
+        except Exception:  # noqa: BLE001 - a layer may raise anything
+            return last
+        for without in ((), ("motion",), ("tissue",), ("motion", "tissue")):
+            left: dict[str, Any] = {name: None for part in without for name in _FIELDS[part]}
+            some = replace(request, **left)
+            if not some.layers:
+                continue
+            try:
+                study = self.read(some)
+            except Exception:  # noqa: BLE001 - a layer may raise anything
+                continue
+            if without and last is not None and last.grid == study.grid:
+                if "tissue" in without:
+                    study = replace(study, tissue=last.tissue, pictures=last.pictures)
+                if "motion" in without:
+                    study = replace(study, motion=last.motion)
+                study = replace(study, names={**last.names, **study.names})
+            return study
+        return last
+
+    def first_curve(self) -> StiffnessCurve:
+        """Return a first guess of the curve that maps the brightness of the slice to stiffness.
+
+        Raises
+        ------
+        HmrfError
+            If the slice cannot be read, or if all its pixels have the same value.
+        """
+        image = self._model.image
+        study = self.read(Request(image=image, view=self.view, drawing=Drawing()))
+        assert study.intensities is not None
+        return first_curve(study.intensities)
+
+    def invalidate(self) -> None:
+        """Discard all layer copies, because a script may have changed an array in place."""
+        self._copies.invalidate()
+
+
+def _slice_of(request: Request) -> Part:
+    """Return the key of the drawing of a request."""
+    layer = request.layers[0]
+    return Part("drawing", layer, SlicePlace.of(frame_of(layer, request.view)))

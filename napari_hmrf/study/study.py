@@ -10,7 +10,7 @@ import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
 from contextlib import contextmanager
-from dataclasses import KW_ONLY, InitVar, dataclass, field, replace
+from dataclasses import KW_ONLY, InitVar, dataclass, field, fields, replace
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -367,8 +367,51 @@ class Tissue:
         return f"Tissue({_listed(parts) or 'as the image shows it'})"
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Conditions:
+    """Conditions on all tissue.
+
+    The window offers them for each image: a field that is True or False as a check box, whose text
+    and tooltip are in the metadata of the field, with the name of the undo step.
+
+    Attributes
+    ----------
+    hold_edge : bool
+        If True, fix the outer edge of the tissue: tissue next to void or to the dark surroundings,
+        also diagonally, and tissue at the edge of the image. The edges of holes remain free.
+    weight : tuple of float
+        Body force on all tissue along each axis, which is density times acceleration, in the unit
+        of stiffness per length; empty if there is no body force.
+    cavity : Cavity
+        Pressure and fluid that act where a label or a stroke removes tissue; by default, nothing.
+    """
+
+    hold_edge: bool = field(
+        default=False,
+        metadata={
+            "text": "Fix outer edge",
+            "tooltip": "Fix the outline of the tissue, and tissue at the edge of the image, unless "
+            "a mark or the boundary moves it; edges of holes in the tissue stay free",
+            "step": "changed whether the edge is held",
+        },
+    )
+    weight: tuple[float, ...] = field(default=(), metadata={"step": "changed the weight"})
+    cavity: Cavity = field(
+        default_factory=Cavity, metadata={"step": "changed the contents of the cavity"}
+    )
+
+    @property
+    def conditions(self) -> dict[str, Any]:
+        """Values of the conditions, by name."""
+        return {each.name: getattr(self, each.name) for each in fields(Conditions)}
+
+
+#: Fields of `Conditions` that are True or False.
+SWITCHES = tuple(each for each in fields(Conditions) if isinstance(each.default, bool))
+
+
 @dataclass(frozen=True, eq=False)
-class Motion:
+class Motion(Conditions):
     """Prescribed motion of the tissue, and loads.
 
     Where prescribed motions overlap, the drawing takes precedence over labels, and labels over the
@@ -377,8 +420,7 @@ class Motion:
     Attributes
     ----------
     hold_edge : bool
-        If True, fix the outer edge of the tissue: tissue next to void or to the dark surroundings,
-        also diagonally, and tissue at the edge of the image. The edges of holes remain free.
+        If True, fix the outer edge of the tissue; see `Conditions`.
     labels : ndarray of int, shape ([D,] H, W), optional
         Painted boundary labels. Each label except 0 has a row in `rules`.
     rules : tuple of BoundaryRule
@@ -394,11 +436,8 @@ class Motion:
         registration; for the elastic model only. Other motion takes precedence.
     drawing : Drawing
         Arrows, landmarks and brush strokes.
-    weight : tuple of float
-        Body force on all tissue along each axis, which is density times acceleration, in the unit
-        of stiffness per length; empty if there is no body force.
-    cavity : Cavity
-        Pressure and fluid that act where a label or a stroke removes tissue; by default, nothing.
+    weight, cavity
+        Loads on all tissue; see `Conditions`.
     typical_strain : float
         Typical strain of the tissue, such as 0.1 for 10 %, against which landmarks with a standard
         deviation are weighed; see `StrainScale`. With a larger strain, tissue follows these
@@ -415,22 +454,21 @@ class Motion:
         If an attribute has an invalid type.
     """
 
-    hold_edge: bool = False
+    hold_edge: bool = field(default=False, kw_only=False)
     labels: Array | None = None
     rules: tuple[BoundaryRule, ...] = ()
     _: KW_ONLY
     observed: Array | None = None
     confidence: Array | None = None
     drawing: Drawing = field(default_factory=Drawing)
-    weight: tuple[float, ...] = ()
     typical_strain: float = StrainScale.strain
     drift: bool = False
     measured: MeasuredMotion | None = None
-    cavity: Cavity = field(default_factory=Cavity)
 
     def __post_init__(self) -> None:
-        is_flag = isinstance(self.hold_edge, bool | np.bool_)
-        refuse_unless(is_flag, "hold_edge", self.hold_edge, "True or False")
+        for name in ("drift", *(each.name for each in SWITCHES)):
+            value = getattr(self, name)
+            refuse_unless(isinstance(value, bool | np.bool_), name, value, "True or False")
         _check_arrays(self, "labels", "observed", "confidence")
         _take_whole_labels(self)
         rules = tuple_of(BoundaryRule, "rules", self.rules, '(BoundaryRule(1, "fixed"),)')
@@ -449,8 +487,6 @@ class Motion:
         is_positive = 0 < real(self.typical_strain) < math.inf
         requirement = "a positive number, such as 0.1"
         refuse_unless(is_positive, "typical_strain", self.typical_strain, requirement)
-        is_flag = isinstance(self.drift, bool | np.bool_)
-        refuse_unless(is_flag, "drift", self.drift, "True or False")
         if (self.observed is None) != (self.confidence is None):
             raise ProblemError("motion", "requires both the observed field and its confidence.")
 

@@ -29,9 +29,8 @@ from napari_hmrf.study.models import (
     optimizer_of,
     prior_of,
 )
-from napari_hmrf.study.study import Study
+from napari_hmrf.study.study import Conditions, Study
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
-from napari_hmrf.tissue.cavity import Cavity
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.row_table import RowTable
@@ -61,9 +60,7 @@ _STEP_NAMES = {
     "boundary": "chose another boundary",
     "confidence": "chose another confidence",
     "without_border": "changed whether the dark border is tissue",
-    "hold_edge": "changed whether the edge is held",
-    "weight": "changed the weight",
-    "cavity": "changed the contents of the cavity",
+    **{each.name: each.metadata["step"] for each in fields(Conditions)},
     "extent": "changed between slice and volume",
     "preset": "chose other tissues to paint with",
 }
@@ -88,8 +85,8 @@ class Part(NamedTuple):
 
 
 @dataclass(frozen=True)
-class ImageChoice:
-    """Layers and settings that are selected for an image.
+class ImageChoice(Conditions):
+    """Layers and settings that are selected for an image, with the `Conditions` on its tissue.
 
     Attributes
     ----------
@@ -102,12 +99,8 @@ class ImageChoice:
         Confidence in observed displacements.
     without_border : bool
         True if dark surroundings with label 0 are void.
-    hold_edge : bool
-        True if the outer edge of the tissue is fixed.
-    weight : tuple of float
-        Body force, as in `Motion`.
-    cavity : Cavity
-        Pressure and fluid where tissue is removed, as in `Motion`.
+    hold_edge, weight, cavity
+        See `Conditions`.
     extent : {"slice", "volume"}
         Part of the image that is solved.
     compare_with : layer or None
@@ -121,8 +114,6 @@ class ImageChoice:
     confidence: Any = None
     without_border: bool = True
     hold_edge: bool = True
-    weight: tuple[float, ...] = ()
-    cavity: Cavity = field(default_factory=Cavity)
     extent: str = "slice"
     compare_with: Any = None
     preset: Preset | None = None
@@ -216,6 +207,9 @@ class StudyModel(EditHistory):
     ----------
     image : hashable or None
         Selected image.
+    image_is_gone : bool
+        True if the user has removed the image or chosen none; tissue labels alone are then not
+        deformed.
     slice : Part
         Key of the drawing of the selected slice; its layer is the layer that is deformed.
     selected : Signal(object, object)
@@ -227,14 +221,16 @@ class StudyModel(EditHistory):
     def __init__(self, depth: int = DEPTH) -> None:
         super().__init__(depth)
         self.image: Hashable | None = None
+        self.image_is_gone = False
         self.slice = Part("drawing", None)
 
     # Selection
 
-    def select(self, image: Hashable | None) -> None:
-        """Select an image."""
+    def select(self, image: Hashable | None, *, is_gone: bool = False) -> None:
+        """Select an image, or None; `is_gone` sets `image_is_gone`."""
         before, self.image = self.image, image
         if image is not before:
+            self.image_is_gone = is_gone
             self.selected.emit(image, before)
 
     def select_slice(self, image: Hashable | None, place: Hashable = None) -> None:
@@ -314,9 +310,7 @@ class StudyModel(EditHistory):
             boundary=layers.get("boundary"),
             confidence=layers.get("confidence"),
             without_border=tissue.without_border,
-            hold_edge=motion.hold_edge,
-            weight=motion.weight,
-            cavity=motion.cavity,
+            **motion.conditions,
             extent="volume" if len(study.grid.shape) == 3 else "slice",
             preset=tissue.preset,
         )
@@ -455,9 +449,8 @@ class StudyModel(EditHistory):
         """
         choice, model = self.choice, self.model
         edge = choice.hold_edge if choice.boundary is not None else ImageChoice.hold_edge
-        usual = replace(
-            choice, without_border=True, hold_edge=edge, weight=(), cavity=Cavity(), preset=None
-        )
+        conditions = {**ImageChoice().conditions, "hold_edge": edge}
+        usual = replace(choice, without_border=True, preset=None, **conditions)
         chosen, model_part = Part("choice", self.image), self.model_part
         values: dict[Part, Any] = {self.slice: Drawing(), chosen: usual, model_part: ModelChoice()}
         before = {self.slice: self.drawing, chosen: choice, model_part: model}

@@ -8,17 +8,19 @@ An edit passes through six steps:
    drawing to the same model; `motion.pointer` passes mouse and key events to the current tool.
    The model records one undo step and emits `changed`.
 2. *Read.* Once napari is idle, `Controller.refresh` reads the chosen layers as a `Study` through
-   `study_reader`. After an edit to the drawing, only the drawing is replaced.
-3. *Submit.* The controller submits the study to the `paced_engine`, which solves the newest
-   submitted study as soon as the last picture has been painted.
+   `layers.read`. After an edit to the drawing, only the drawing is replaced.
+3. *Submit.* The controller submits the study to the `PacedEngine` of `solving`, which solves the
+   newest submitted study as soon as the last picture has been painted.
 4. *Answer.* The compute thread solves the study and deforms its image (`study.engine`). If the
-   answer is still current, the GUI thread receives it (`gui_thread`).
+   answer is still current, the GUI thread receives it (`jobs`).
 5. *Show.* The controller immediately shows the image, the arrows and the paint (`motion.display`).
    After a pause in the edits, all layers of the result are created in the background
-   (`layers.complete_result`).
-6. *View.* `result.result_view` plays, compares and saves the result; `background_jobs` computes
-   its pictures.
+   (`layers.result_layers`).
+6. *View.* `result.result_view` plays, compares and saves the result; `jobs` computes its pictures.
+
+All layers are written by `layers.viewer_layers`, and the status text, the warning and the buttons
+that can be pressed are those of one `scene`, which `guide` draws.
 
 `soft_tissue` combines these parts and is the interface for scripts. `viewer_watch` responds to
-napari events, and `guide` writes the status text.
+napari events.
 """

@@ -16,11 +16,11 @@ from qtpy.QtWidgets import QWidget
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.units import unit_symbol
-from napari_hmrf.layers.complete_result import CompleteResult
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.painted_overlay import ShownDeformation
-from napari_hmrf.layers.screen_directions import directions_of
-from napari_hmrf.layers.slice_view import plane_shown
+from napari_hmrf.layers.read import NoImageError, StudyReader
+from napari_hmrf.layers.result_layers import CompleteResult
+from napari_hmrf.layers.slice_view import directions_of, plane_shown
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.study.drag_preview import as_dragged, drag_preview
 from napari_hmrf.study.engine import Deformation
@@ -31,11 +31,9 @@ from napari_hmrf.ui import messages
 from napari_hmrf.ui.curve.curve_layer import CurveLayer
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.events import single_shot
-from napari_hmrf.ui.form_binding import FormBinding, NoImageError
+from napari_hmrf.ui.form_binding import FormBinding
 from napari_hmrf.ui.motion.pointer import Pointer
-from napari_hmrf.ui.paced_engine import PacedEngine
-from napari_hmrf.ui.solve_progress import SolveProgress
-from napari_hmrf.ui.study_reader import StudyReader
+from napari_hmrf.ui.solving import PacedEngine, SolveProgress
 
 _log = logging.getLogger("napari_hmrf")
 #: Time without edits after which all layers of the result are drawn, in milliseconds.
@@ -98,7 +96,7 @@ class Controller:
         self._viewer, self.form, self.binding, self.pointer = viewer, form, binding, pointer
         self._model = model
         self._is_released = False
-        self.reader = StudyReader(viewer, form, binding, model)
+        self.reader = StudyReader(viewer, model, binding.settle)
         # Study that was read last, without later changes to its drawing.
         self._read: Study | None = None
         self._results: weakref.WeakKeyDictionary[Layer, CompleteResult]
@@ -254,10 +252,14 @@ class Controller:
 
     def refuse(self, error: Exception) -> None:
         """Report why a request cannot be carried out."""
-        self.refusal.emit(messages.in_short(error))
+        if isinstance(error, NoImageError):
+            reason = messages.no_image(has_layers=bool(self._viewer.layers))
+        else:
+            reason = messages.in_short(error)
+        self.refusal.emit(reason)
         # A warning disappears by itself; an error would remain beside the next valid result.
         show = show_warning if isinstance(error, HmrfError | ValueError) else show_error
-        show(messages.in_short(error))
+        show(reason)
 
     def is_current(self, study: Study) -> bool:
         """Return whether a study is on the visible slice or volume of the chosen image."""
@@ -357,7 +359,7 @@ class Controller:
             volume, place, view = (
                 len(study.grid.shape) == 3,
                 study.grid.known_place,
-                self.form.view(),
+                self.reader.view,
             )
             in_slices = volume and len(view.displayed) == 2
             plane = plane_shown(place, view) if in_slices else None

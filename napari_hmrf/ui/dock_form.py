@@ -118,7 +118,7 @@ class DockForm:
         self.extent.changed.connect(lambda _: self.model.extent_is(self.extent.is_volume))
         model, motion = self.model, self.motion
         loads = motion.weight, motion.cavity
-        fields = (self.extent, model, model.in_detail, motion.edge, *loads)
+        fields = (self.extent, model, model.in_detail, *motion.switches, *loads)
         presets = motion.fields.preset
         self._place: tuple[str, Directions, str] | None = None
         parts = (self.tissue.edited, motion.boundary.edited)

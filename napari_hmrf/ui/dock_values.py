@@ -6,7 +6,7 @@ from operator import attrgetter
 from typing import Any, Generic, TypeVar, overload
 
 from napari_hmrf.field.comparison import Comparison
-from napari_hmrf.layers.screen_directions import Sides
+from napari_hmrf.layers.slice_view import Sides
 from napari_hmrf.solver.model_names import ModelName
 from napari_hmrf.solver.priors.elastic import Plane
 from napari_hmrf.study.models import SolverDetails
@@ -97,7 +97,7 @@ class DockValues(Dock):
         "Curve that maps intensity to stiffness, or None if no curve defines the tissue.",
     )
     hold_edge = _Chosen[bool](
-        "_form.motion.edge.value",
+        "_form.motion.switches.hold_edge.value",
         "True if the outer edge of the tissue is fixed.",
     )
     weight = _Chosen[tuple[float, ...]](

@@ -20,7 +20,6 @@ from napari_hmrf.layers.image_choice import (
 )
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.metadata import BOUNDARY, role_of
-from napari_hmrf.layers.read import Request
 from napari_hmrf.layers.slice_view import fits
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.layers.viewer_undo import undo_of
@@ -30,11 +29,7 @@ from napari_hmrf.tissue.row_table import change
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.events import EventConnections
-from napari_hmrf.ui.messages import CHOOSE, EDGE_GOES, NOT_CHOSEN, WELCOME
-
-
-class NoImageError(HmrfError):
-    """There is neither an image nor tissue labels to deform."""
+from napari_hmrf.ui.messages import EDGE_GOES, NOT_CHOSEN, WELCOME
 
 
 class FormBinding:
@@ -68,18 +63,16 @@ class FormBinding:
             "boundary": motion.boundary.choice,
             "confidence": motion.boundary.confidence,
             "without_border": form.tissue.border,
-            "hold_edge": motion.edge,
             "weight": motion.weight,
             "cavity": motion.cavity,
             "extent": form.extent,
             "compare_with": form.result.second,
             "preset": motion.fields.preset,
+            **{each.name: each for each in motion.switches},
         }
         self.automatic = False
         # True once the user has chosen or deformed an image; new images then do not replace it.
         self._image_is_fixed = False
-        # True if an image was chosen before, but no image is chosen now.
-        self._image_is_gone = False
         model.select(None)
         motion.boundary.choice.changed.connect(self._on_boundary)
         form.image.changed.connect(self._on_chosen)
@@ -130,21 +123,10 @@ class FormBinding:
         finally:
             self.automatic = before
 
-    def request(self) -> Request:
-        """Return all choices for the selected image, with the visible slice and its drawing.
-
-        Raises
-        ------
-        NoImageError
-            If neither an image nor tissue labels are chosen.
-        """
+    def settle(self) -> None:
+        """Write automatic changes to the model now, rather than at the end of their block."""
         if self.automatic:
             self._write(step=False)
-        form, model, choice = self._form, self._model, self._model.choice
-        image, tissue = model.image, choice.tissue_layer
-        if image is None and (self._image_is_gone or not isinstance(tissue, Labels)):
-            raise NoImageError(CHOOSE if self._viewer.layers else WELCOME)
-        return Request.of(model, form.view())
 
     # Automatic choice of layers
 
@@ -165,7 +147,8 @@ class FormBinding:
                 else:  # the next image gets the defaults of a first image
                     usual = ImageChoice()
                     form.tissue.border.value = usual.without_border
-                    form.motion.edge.value = usual.hold_edge
+                    for switch in form.motion.switches:
+                        switch.value = getattr(usual, switch.name)
                     self._show_model(ModelChoice())
 
     def choose_first(self) -> None:
@@ -210,7 +193,7 @@ class FormBinding:
 
     def _release_edge(self) -> None:
         """Release the edge without an event, because a boundary is being chosen."""
-        edge = self._form.motion.edge
+        edge = self.fields["hold_edge"]
         with edge.changed.blocked():
             edge.value = False
 
@@ -229,18 +212,16 @@ class FormBinding:
     def _on_boundary(self, layer: Any) -> None:
         """Release the edge if a field prescribes the motion; fix it if there is no boundary."""
         if holds_field(layer):
-            if self._form.motion.edge.value:
+            if self.fields["hold_edge"].value:
                 self.message.emit(EDGE_GOES.format(layer.name))
             self._release_edge()
         elif layer is None:
-            self._form.motion.edge.value = True
+            self.fields["hold_edge"].value = True
 
     def _on_chosen(self, image: Any) -> None:
         """Select the image that is chosen in the menu."""
         self._image_is_fixed = self._image_is_fixed or not self.automatic
-        if image is not self._model.image:
-            self._image_is_gone = image is None
-            self._model.select(image)
+        self._model.select(image, is_gone=image is None)
 
     def _on_selected(self, image: Any, before: Any) -> None:
         """Show the earlier choices for an image, or choose layers for a new image.
@@ -262,7 +243,6 @@ class FormBinding:
         with self.automatically():
             if image is not form.image.value:
                 form.image.value = image
-                self._image_is_gone = False
             form.result.second.reset_choices()
             if image is not None:
                 self._offer_presets(None)

@@ -97,7 +97,9 @@ class Guide:
             is_3d=viewer.dims.ndisplay == 3,
             is_volume=form.extent.is_volume,
             has_slices=form.extent.has_slices,
-            sees_volume=place is None or len(place.plane) == 2 or shows_volume(place, form.view()),
+            sees_volume=place is None
+            or len(place.plane) == 2
+            or shows_volume(place, self._controller.reader.view),
             is_live=form.footer.live.value,
             live_reason=form.footer.live.reason,
             tool=tool.hint if is_active else "",

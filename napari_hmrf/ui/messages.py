@@ -9,8 +9,7 @@ from napari_hmrf.errors import ConvergenceError, HmrfError, in_words
 from napari_hmrf.field.animation import MARKS, Mark
 from napari_hmrf.field.deformation import magnitude
 from napari_hmrf.field.units import as_seen, unit_symbol
-from napari_hmrf.layers.complete_result import CompleteResult
-from napari_hmrf.layers.result_layers import Outputs
+from napari_hmrf.layers.result_layers import CompleteResult, Outputs
 from napari_hmrf.notes import Note, kind_of, short_of
 from napari_hmrf.solver import live_solver
 from napari_hmrf.solver.caveats import LOOSE
@@ -136,6 +135,11 @@ _UNSURE_FOLDS = (
 MOST = "The view has moved to the slice with the most such voxels: {}."
 #: Largest number of marked sites that counts as rounding noise and causes no warning.
 HANDFUL = 5
+
+
+def no_image(*, has_layers: bool) -> str:
+    """Return what to do if no image is chosen, in a viewer with or without layers."""
+    return CHOOSE if has_layers else WELCOME
 
 
 def with_button(text: str, label: str) -> str:

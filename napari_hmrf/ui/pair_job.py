@@ -12,8 +12,8 @@ from psygnal import Signal
 from napari_hmrf.layers.second_picture import second_picture
 from napari_hmrf.registration.study_registration import SecondPicture
 from napari_hmrf.study.study import Study
-from napari_hmrf.ui.background_jobs import BackgroundJobs
 from napari_hmrf.ui.controller import Controller
+from napari_hmrf.ui.jobs import BackgroundJobs
 
 T = TypeVar("T")
 
@@ -80,7 +80,9 @@ class PairJob:
         study = self._controller.study
         assert study is not None
         try:
-            picture = second_picture(second, study.grid.known_place, study.grid.shape, form.view())
+            picture = second_picture(
+                second, study.grid.known_place, study.grid.shape, self._controller.reader.view
+            )
         except Exception as error:  # noqa: BLE001 - a layer may raise anything
             self._controller.refuse(error)
             return None

@@ -10,7 +10,7 @@ from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QGridLayout, QLabel
 
 from napari_hmrf.layers.compat import camera_of
-from napari_hmrf.layers.screen_directions import Sides
+from napari_hmrf.layers.slice_view import Sides
 from napari_hmrf.study.study_model import StudyModel
 from napari_hmrf.ui.events import EventConnections
 

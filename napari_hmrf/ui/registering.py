@@ -27,7 +27,7 @@ from napari_hmrf.study.study_model import Part, StudyModel
 from napari_hmrf.study.support import supports
 from napari_hmrf.ui.controller import Controller
 from napari_hmrf.ui.events import EventConnections
-from napari_hmrf.ui.gui_thread import GuiThread
+from napari_hmrf.ui.jobs import GuiThread
 from napari_hmrf.ui.pair_job import JobWords, PairJob
 from napari_hmrf.ui.registration_form import RegistrationForm
 
@@ -133,7 +133,7 @@ class Registering:
             matrix = found.registration.matrix
             if not np.array_equal(matrix, np.eye(len(matrix))):
                 place = found.study.grid.known_place
-                if align_layer(second, place, matrix, self._controller.form.view()):
+                if align_layer(second, place, matrix, self._controller.reader.view):
                     self._form.alignment.value = None
                     parts.append(_MOVED.format(second.name))
             self.job.message.emit(" ".join(filter(None, parts)))

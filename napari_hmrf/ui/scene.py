@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from napari_hmrf.layers.complete_result import CompleteResult
+from napari_hmrf.layers.result_layers import CompleteResult
 from napari_hmrf.notes import kind_of
 from napari_hmrf.solver.model_names import ModelName
 from napari_hmrf.ui import messages
@@ -173,7 +173,7 @@ class Situation:
     def hint(self) -> str:
         """Hint about the next step."""
         if not self.has_image:
-            return messages.CHOOSE if self.has_layers else messages.WELCOME
+            return messages.no_image(has_layers=self.has_layers)
         if self.covering:
             return motion_messages.covered(self.covering)
         if self.obstacle:

@@ -14,8 +14,7 @@ from qtpy.QtWidgets import QMessageBox
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.landmarks import SD_FEATURE, read_landmarks, with_spreads_of
-from napari_hmrf.layers.still_paint import put_brush_away
-from napari_hmrf.layers.viewer_layers import layers_of, shared
+from napari_hmrf.layers.viewer_layers import layers_of, put_brush_away, shared
 from napari_hmrf.layers.viewer_undo import undo_of
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.study import Study
@@ -293,7 +292,9 @@ class SoftTissue(DockValues):
         by_brightness = self.curve is not None
         chosen = (self.image if by_brightness else self.tissue, self.boundary)
         preset, drawing = self._form.motion.fields.preset.value, self.drawing
-        made = add_missing(self._viewer, self.image, *chosen, self._form.view(), preset, drawing)
+        made = add_missing(
+            self._viewer, self.image, *chosen, self._controller.reader.view, preset, drawing
+        )
         with self._binding.automatically():  # undo would not remove the layers
             self.tissue, self.boundary = BRIGHTNESS if by_brightness else made[0], made[1]
         self._watch.hand_brush(self._viewer.layers.selection.active)
@@ -353,7 +354,7 @@ class SoftTissue(DockValues):
         """
         if self.image is None or not self._controller.refresh():
             raise HmrfError(messages.WELCOME if self.image is None else self.status)
-        grid, view = self.study.grid, self._form.view()
+        grid, view = self.study.grid, self._controller.reader.view
         added = {(mark.source, mark.target) for mark in self._added_landmarks}
         others = [
             mark

@@ -55,7 +55,7 @@ from napari_hmrf.ui import messages
 from napari_hmrf.ui.controller import Controller
 from napari_hmrf.ui.events import EventConnections, single_shot
 from napari_hmrf.ui.forms import Prose, row
-from napari_hmrf.ui.gui_thread import GuiThread
+from napari_hmrf.ui.jobs import GuiThread
 from napari_hmrf.ui.remembered_settings import settings
 
 Answer = Literal["save", "discard", "cancel"]
@@ -238,7 +238,9 @@ class Unsaved:
         if where is None:
             return ""
         try:
-            chosen = read_landmarks(where, should, grid.known_place, grid.shape, form.view())
+            chosen = read_landmarks(
+                where, should, grid.known_place, grid.shape, self._controller.reader.view
+            )
         except HmrfError:  # reported when the landmarks are added
             return ""
         return where.name if any((mark.target, mark.source) not in taken for mark in chosen) else ""

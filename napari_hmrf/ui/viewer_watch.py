@@ -13,9 +13,8 @@ from napari_hmrf.field.frame import PLACE
 from napari_hmrf.layers.image_choice import in_middle, uncover
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.pixel_copy import CHANGES
-from napari_hmrf.layers.still_paint import is_deformed, is_painted, lies_still
 from napari_hmrf.layers.unsaved_work import UnsavedWork
-from napari_hmrf.layers.viewer_layers import layers_of, shared
+from napari_hmrf.layers.viewer_layers import is_deformed, is_painted, layers_of, lies_still, shared
 from napari_hmrf.layers.viewer_undo import undo_of
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.usual_lengths import (

@@ -8,8 +8,7 @@ from napari.layers import Image
 from napari_hmrf.field.directions import Directions
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.layers.metadata import BOUNDARY, layer_metadata
-from napari_hmrf.layers.screen_directions import directions_of
-from napari_hmrf.layers.slice_view import View, frame_of
+from napari_hmrf.layers.slice_view import View, directions_of, frame_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from tests.support.screen import head
 

@@ -27,7 +27,7 @@ from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.solve import run_here
 from napari_hmrf.study.engine import Engine
 from napari_hmrf.study.study import Pictures
-from napari_hmrf.ui.background_jobs import BackgroundJobs
+from napari_hmrf.ui.jobs import BackgroundJobs
 from tests.support.cancel_flags import AfterLooks
 from tests.support.timeouts import LONG
 

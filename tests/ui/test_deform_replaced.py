@@ -67,7 +67,7 @@ def test_deform_ends_if_a_layer_raises_an_unexpected_error(
         raise RuntimeError("a layer of another plugin")
 
     with monkeypatch.context() as broken:
-        broken.setattr("napari_hmrf.ui.study_reader.study_from_layers", fail)
+        broken.setattr("napari_hmrf.layers.read.study_from_layers", fail)
         broken.setattr("napari_hmrf.ui.controller.show_error", lambda _: None)
         stack_dock.deform()
     assert finished == [None]

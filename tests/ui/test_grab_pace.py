@@ -15,7 +15,7 @@ from napari_hmrf.solver.optimizers import Multigrid
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.study import engine
 from napari_hmrf.tissue.drawing import Arrow, Drawing
-from napari_hmrf.ui.paced_engine import PacedEngine
+from napari_hmrf.ui.solving import PacedEngine
 from tests.support.person import by_name
 from tests.support.study_reader import read_ground
 from tests.support.timeouts import LONG, LONG_MS

@@ -151,7 +151,7 @@ def test_an_unexpected_error_during_a_refresh_is_reported_and_the_result_remains
         raise ZeroDivisionError("no such slice")
 
     with monkeypatch.context() as broken:
-        broken.setattr("napari_hmrf.ui.study_reader.study_from_layers", fail)
+        broken.setattr("napari_hmrf.layers.read.study_from_layers", fail)
         widget.schedule_refresh()
         wait_for(lambda: "no such slice The last result is still shown." in widget.status)
     assert widget.solution is outputs.solution

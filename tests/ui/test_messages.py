@@ -5,8 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from napari_hmrf.layers.complete_result import CompleteResult
-from napari_hmrf.layers.result_layers import Outputs
+from napari_hmrf.layers.result_layers import CompleteResult, Outputs
 from napari_hmrf.notes import Note
 from napari_hmrf.study.measured_motion import MeasuredMotion
 from napari_hmrf.study.study import Grid, Motion, Study

@@ -17,8 +17,7 @@ from napari_hmrf.field.frame import PATIENT_AXES
 from napari_hmrf.io.fields import Place
 from napari_hmrf.io.images import ImageFile, write_image
 from napari_hmrf.layers.compat import camera_of
-from napari_hmrf.layers.screen_directions import Sides, directions_of
-from napari_hmrf.layers.slice_view import View, frame_of
+from napari_hmrf.layers.slice_view import Sides, View, directions_of, frame_of
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from tests.support.docks import dock_in, quick
 from tests.support.screen import Screen

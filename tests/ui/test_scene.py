@@ -3,8 +3,7 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
-from napari_hmrf.layers.complete_result import CompleteResult
-from napari_hmrf.layers.result_layers import Outputs
+from napari_hmrf.layers.result_layers import CompleteResult, Outputs
 from napari_hmrf.notes import Note
 from napari_hmrf.solver.caveats import LOOSE
 from napari_hmrf.study.study import Grid, Study

@@ -235,7 +235,7 @@ def test_landmarks_of_the_drawing_are_listed_if_the_layers_have_no_valid_pairs(c
 def test_distances_are_those_of_the_last_result_after_a_refused_edit(compared, wait_for):
     _, dock, _, _ = compared
     dock._form.motion.boundary.landmarks.sources.value = None
-    dock._form.motion.edge.value = False
+    dock._form.motion.switches.hold_edge.value = False
     dock.drawing = Drawing([Landmark((20, at), (24.0, at), 2.0, sd=1.0) for at in (20, 40)])
     wait_for(lambda: "apart before" in dock.residual and not dock.busy)
     Screen(dock).entry("More", "Landmarks ...").trigger()

@@ -745,15 +745,15 @@ def test_progress_is_shown_in_per_cent_with_details_in_the_tool_tip(widget, smal
 @pytest.fixture
 def slow_layers(monkeypatch):
     """Make the layers of a result wait until the event is set."""
-    from napari_hmrf.ui import paced_engine
+    from napari_hmrf.ui import solving
 
-    go, complete = threading.Event(), paced_engine.complete_result
+    go, complete = threading.Event(), solving.complete_result
 
     def wait_and_complete(*arguments):
         assert go.wait(LONG)
         return complete(*arguments)
 
-    monkeypatch.setattr(paced_engine, "complete_result", wait_and_complete)
+    monkeypatch.setattr(solving, "complete_result", wait_and_complete)
     yield go
     go.set()
 

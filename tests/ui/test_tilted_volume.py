@@ -6,8 +6,7 @@ from napari.components import ViewerModel
 from napari.layers import Image
 
 from napari_hmrf.field.frame import PATIENT_AXES
-from napari_hmrf.layers.screen_directions import directions_of
-from napari_hmrf.layers.slice_view import View, frame_of, plane_shown
+from napari_hmrf.layers.slice_view import View, directions_of, frame_of, plane_shown
 from tests.support.person import only
 from tests.support.pulling import pull_volume
 from tests.support.screen import Screen

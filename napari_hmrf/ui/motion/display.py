@@ -13,13 +13,12 @@ import numpy.typing as npt
 from napari_hmrf.field.motion_lines import Lines
 from napari_hmrf.field.volume_preview import CutPlane
 from napari_hmrf.layers.compat import fade
-from napari_hmrf.layers.complete_result import CompleteResult
 from napari_hmrf.layers.image_choice import image_covering
 from napari_hmrf.layers.image_result import CONFIDENCE, PAINTED, Result, ResultLayers
 from napari_hmrf.layers.line_of_sight import LineOfSight, cut_of
 from napari_hmrf.layers.paint_layer import confidence_layer, number_of, painted_layer, way_of
 from napari_hmrf.layers.painted_overlay import ShownDeformation
-from napari_hmrf.layers.result_layers import Kind, LayerData, picture_layer
+from napari_hmrf.layers.result_layers import CompleteResult, Kind, LayerData, picture_layer
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_layers import shared, still_there
 from napari_hmrf.layers.volume_look import VolumeLook

@@ -14,6 +14,8 @@ from qtpy.QtGui import QIcon
 from qtpy.QtWidgets import QGridLayout, QSizePolicy, QToolButton
 
 from napari_hmrf.layers.slice_view import View
+from napari_hmrf.study.study import SWITCHES
+from napari_hmrf.study.study_model import ImageChoice
 from napari_hmrf.ui.forms import row
 from napari_hmrf.ui.motion.cavity_form import CavityForm
 from napari_hmrf.ui.motion.tool import Tool
@@ -59,7 +61,8 @@ class MotionForm(Container):
     remove, clear : PushButton
     edges : Container
         Section with the outer edge, the boundary, the weight and the cavity.
-    edge : CheckBox
+    switches : Container
+        Check box for each condition that is True or False.
     boundary : BoundarySection
     weight : WeightForm
     cavity : CavityForm
@@ -76,11 +79,17 @@ class MotionForm(Container):
             for number, tool in enumerate(TOOLS)
         }
         self.fields = ToolFields()
-        self.edge = CheckBox(
-            text="Fix outer edge",
-            value=True,
-            tooltip="Fix the outline of the tissue, and tissue at the edge of the image, unless a "
-            "mark or the boundary moves it; edges of holes in the tissue stay free",
+        self.switches = Container(
+            widgets=[
+                CheckBox(
+                    name=each.name,
+                    value=getattr(ImageChoice, each.name),
+                    text=each.metadata["text"],
+                    tooltip=each.metadata["tooltip"],
+                )
+                for each in SWITCHES
+            ],
+            labels=False,
         )
         self.weight, self.cavity = WeightForm(), CavityForm()
         self.boundary = BoundarySection(layers, view)
@@ -89,10 +98,10 @@ class MotionForm(Container):
         )
         self.clear = PushButton(text="Remove all", enabled=False, tooltip="Remove all marks")
         drawn = row(self.remove, self.clear)
-        parts = [self.edge, self.boundary, self.weight, self.cavity]
+        parts = [self.switches, self.boundary, self.weight, self.cavity]
         self.edges = Container(widgets=parts, labels=False)
         super().__init__(widgets=[self.fields, drawn], labels=False)
-        for container in (drawn, self.boundary):
+        for container in (drawn, self.boundary, self.switches):
             container.margins = (0, 0, 0, 0)
         grid = QGridLayout()
         grid.setSpacing(2)

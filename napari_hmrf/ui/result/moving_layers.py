@@ -22,8 +22,8 @@ from napari_hmrf.layers.result_layers import Overlay, PlacedSolution
 from napari_hmrf.layers.thick_marks import half_widths, thickened
 from napari_hmrf.layers.viewer_layers import layers_of
 from napari_hmrf.posterior import Uncertainty
-from napari_hmrf.ui.background_jobs import BackgroundJobs
 from napari_hmrf.ui.events import repeating
+from napari_hmrf.ui.jobs import BackgroundJobs
 from napari_hmrf.ui.result.result_messages import FULL
 
 #: Duration of playing from 0 to 100 %, in seconds.

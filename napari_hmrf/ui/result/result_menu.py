@@ -25,12 +25,11 @@ from napari_hmrf.layers.field_layer import MOVED, can_move, picture_of, prepare_
 from napari_hmrf.layers.film_colours import film_overlay
 from napari_hmrf.layers.metadata import TISSUE, metadata_of, rows_of, tissue_recorded
 from napari_hmrf.layers.result_layers import LayerData
-from napari_hmrf.layers.screen_directions import directions_of
-from napari_hmrf.layers.slice_view import View, plane_shown
+from napari_hmrf.layers.slice_view import View, directions_of, plane_shown
 from napari_hmrf.layers.viewer_layers import layers_of
 from napari_hmrf.tissue.drawing import Landmark
-from napari_hmrf.ui.background_jobs import BackgroundJobs
 from napari_hmrf.ui.forms import add_entry, attempt, give_menu
+from napari_hmrf.ui.jobs import BackgroundJobs
 from napari_hmrf.ui.result.landmark_table import LandmarkRows, LandmarkTable
 from napari_hmrf.ui.result.moving_layers import MovingLayers
 from napari_hmrf.ui.result.result_form import ResultForm

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from typing import Any
@@ -10,29 +11,32 @@ from psygnal import Signal
 
 from napari_hmrf.errors import naming
 from napari_hmrf.field.comparison import Comparison, compare
-from napari_hmrf.layers.compat import camera_of
+from napari_hmrf.layers.compat import camera_of, scale_bar_of
 from napari_hmrf.layers.field_layer import can_be_source, field_of, result_of, source_of
 from napari_hmrf.layers.image_result import Result, ResultLayers
 from napari_hmrf.layers.metadata import metadata_of
 from napari_hmrf.layers.result_layers import Name, Overlay, PlacedSolution, overlay_of
-from napari_hmrf.layers.screen_directions import directions_of
-from napari_hmrf.layers.still_paint import layer_painted, put_brush_away
+from napari_hmrf.layers.slice_view import directions_of
+from napari_hmrf.layers.viewer_layers import layer_painted, put_brush_away
 from napari_hmrf.posterior import Uncertainty
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.ui import messages
-from napari_hmrf.ui.background_jobs import BackgroundJobs
 from napari_hmrf.ui.events import EventConnections, single_shot
 from napari_hmrf.ui.forms import attempt
+from napari_hmrf.ui.jobs import BackgroundJobs
 from napari_hmrf.ui.result import result_messages as words
 from napari_hmrf.ui.result.cursor import UnderCursor
 from napari_hmrf.ui.result.moving_layers import MovingLayers, Player
 from napari_hmrf.ui.result.result_form import BEFORE_KEY, PAUSE, PLAY, ResultForm
 from napari_hmrf.ui.result.result_menu import ResultMenu
-from napari_hmrf.ui.result.scale_key import ScaleKey
 from napari_hmrf.ui.result.uncertainty_estimator import UncertaintyEstimator
 
 #: Time without a change of the zoom after which marks are drawn again, in milliseconds.
 _ZOOM_REST = 100
+#: Corner of the key; the other corners of the canvas contain legends and the name of the tool.
+_CORNER = "bottom_left"
+#: Largest relative error of arrows that count as drawn to scale.
+_TRUE = 0.01
 
 
 class ResultView:
@@ -452,3 +456,57 @@ class ResultView:
         self.before = True
         yield
         self.before = False
+
+
+class ScaleKey:
+    """Scale bar of napari as the scale key, visible while the arrows are drawn to scale.
+
+    A scale bar that the user has switched on or off is left unchanged.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+    shown : callable
+        Returns the displayed result, or None.
+    """
+
+    #: Emitted when the displayed length of the arrows has changed.
+    length_changed = Signal()
+
+    def __init__(self, viewer: Any, shown: Callable[[], MovingLayers | None]) -> None:
+        self._bar, self._shown = scale_bar_of(viewer), shown
+        # Visibility that this object has set; None before the first change.
+        self._set: bool | None = None
+        self._corner = self._bar.position
+        self._events = EventConnections((viewer.layers.events, self._on_layers))
+
+    @property
+    def is_true(self) -> bool:
+        """True if arrows are visible and as long as the displacement in the image."""
+        shown = self._shown()
+        if shown is None or not shown.has_arrows:
+            return False
+        return abs(shown.times_as_long - 1) < _TRUE
+
+    def refresh(self) -> None:
+        """Show or hide the key."""
+        bar, visible = self._bar, self.is_true
+        if bar.visible != bool(self._set) or bar.visible == visible:
+            return  # the user has switched the bar, or it is correct
+        bar.position = _CORNER if visible else self._corner
+        bar.visible = self._set = visible
+
+    def release(self) -> None:
+        """Disconnect from all events."""
+        self._events.release()
+
+    def hide(self) -> None:
+        """Hide the key, because the dock is closing."""
+        if self._set and self._bar.visible:
+            self._bar.visible, self._bar.position = False, self._corner
+
+    def _on_layers(self, event: Any) -> None:
+        if event.type in ("visible", "length", "removed"):
+            self.refresh()
+        if event.type == "length":
+            self.length_changed.emit()

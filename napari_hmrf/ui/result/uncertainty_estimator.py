@@ -11,7 +11,7 @@ from psygnal import Signal
 from napari_hmrf.errors import Cancelled, in_words
 from napari_hmrf.layers.result_layers import PlacedSolution
 from napari_hmrf.solver.optimizers import Monitor
-from napari_hmrf.ui.gui_thread import GuiThread
+from napari_hmrf.ui.jobs import GuiThread
 from napari_hmrf.ui.result.result_messages import NO_UNCERTAINTY
 from napari_hmrf.wording import in_words_of
 

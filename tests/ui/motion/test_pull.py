@@ -373,7 +373,7 @@ def test_a_study_is_equal_until_a_layer_is_painted():
 
 
 def test_calls_from_other_threads_run_in_order_on_the_gui_thread(qtbot, at_rest):
-    from napari_hmrf.ui.gui_thread import GuiThread
+    from napari_hmrf.ui.jobs import GuiThread
 
     called, gui = [], GuiThread()
 

@@ -126,7 +126,7 @@ def test_a_drift_is_ticked_undone_and_saved_with_the_study(pulling_beside, settl
         touch.drag((row, col), (1.1 * row, col))
     settle(dock)
     box = Screen(dock).button("affine drift")
-    dock._form.motion.edge.value = False
+    dock._form.motion.switches.hold_edge.value = False
     settle(dock)
     strained = np.abs(dock.solution.strain()).max()
     box.click()
@@ -135,7 +135,7 @@ def test_a_drift_is_ticked_undone_and_saved_with_the_study(pulling_beside, settl
     assert dock.study.motion.drift
     assert "a drift was estimated with the landmarks: strains of" in dock.residual
     assert "hinders" not in dock.residual
-    dock._form.motion.edge.value = True
+    dock._form.motion.switches.hold_edge.value = True
     settle(dock)
     assert "the held outer edge hinders the drift" in dock.residual
     dock.undo()

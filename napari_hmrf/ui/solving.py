@@ -1,28 +1,39 @@
-"""Engine that waits for the window to repaint, and delivers answers on the GUI thread."""
+"""Solves of the window: the engine, in step with repaints, and its progress in the footer."""
 
 from __future__ import annotations
 
 import logging
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 
+from psygnal import Signal
+from qtpy.QtWidgets import QWidget
+
 from napari_hmrf.errors import Cancelled
 from napari_hmrf.field.rehearsal import rehearse
-from napari_hmrf.layers.complete_result import CompleteResult, complete_result
 from napari_hmrf.layers.painted_overlay import PaintedOverlay, ShownDeformation
+from napari_hmrf.layers.result_layers import CompleteResult, complete_result
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.coarse_grid import Preview
 from napari_hmrf.study.engine import Deformation, Engine
 from napari_hmrf.study.study import Study
-from napari_hmrf.ui.background_jobs import BackgroundJobs
-from napari_hmrf.ui.gui_thread import GuiThread, Repainted
+from napari_hmrf.ui import messages
+from napari_hmrf.ui.events import repeating
+from napari_hmrf.ui.footer import Footer
+from napari_hmrf.ui.jobs import BackgroundJobs, GuiThread, Repainted
+from napari_hmrf.ui.result.result_messages import DRAWING_OVERLAY
 
 _log = logging.getLogger("napari_hmrf")
 # Description of the work in the messages of jobs that wait for the compute thread.
 _DOING = "a deformation in 'Soft tissue' (press Cancel there to stop it)"
+#: Interval between updates, in milliseconds.
+_INTERVAL = 30
+#: Time without a new picture after which progress is shown, in seconds.
+_PATIENCE = 0.4
 
 
 class PacedEngine:
@@ -159,3 +170,87 @@ class PacedEngine:
             self._show(completed)
         elif completed is not None and not self.busy:
             self._finish(completed)
+
+
+class SolveProgress:
+    """Display of the engine's progress in the footer and as a message.
+
+    Parameters
+    ----------
+    native : QWidget
+        The dock.
+    footer : Footer
+    engine : PacedEngine
+    is_working : callable
+        Returns True until the layers of the result have changed; until then, the work can be
+        cancelled.
+    overlay_monitor : callable
+        Returns the progress of the overlay of the result, or None.
+    """
+
+    #: Emitted with a progress message; "" when the work has ended.
+    doing = Signal(str)
+
+    def __init__(
+        self,
+        native: QWidget,
+        footer: Footer,
+        engine: PacedEngine,
+        is_working: Callable[[], bool],
+        overlay_monitor: Callable[[], Monitor | None],
+    ) -> None:
+        self._footer, self._engine = footer, engine
+        self._is_working, self._overlay_monitor = is_working, overlay_monitor
+        self._work = ""
+        self._since = 0.0
+        self._at_once = False
+        self._timer = repeating(native, _INTERVAL, self._update)
+
+    @property
+    def active(self) -> bool:
+        """True while progress is tracked, until the end of the work is shown."""
+        return bool(self._timer.isActive())
+
+    def start(self, work: str, at_once: bool = False) -> None:
+        """Start showing the progress of a task.
+
+        Parameters
+        ----------
+        work : str
+            Name of the task, such as "Deforming".
+        at_once : bool
+            If True, progress is shown immediately until `stop` is called. Otherwise, progress is
+            shown only if a picture takes a long time, until the result is drawn.
+        """
+        if at_once or not self._engine.busy:
+            self.restart()
+        self._work, self._at_once = work, at_once
+        if at_once:
+            self._footer.show_work(True)
+        if not self.active:
+            self._timer.start()
+
+    def restart(self) -> None:
+        """Reset the time since the last picture."""
+        self._since = time.monotonic()
+
+    def stop(self) -> None:
+        """Show that no work is in progress."""
+        self._at_once = False
+        self._footer.show_work(False)
+        self.doing.emit("")
+
+    def release(self) -> None:
+        """Stop all updates."""
+        self._timer.stop()
+
+    def _update(self) -> None:
+        working, overlay = self._at_once or self._is_working(), self._overlay_monitor()
+        monitor = self._engine.monitor if working else overlay
+        if monitor is None:
+            self._timer.stop()
+            self.stop()
+        elif self._at_once or time.monotonic() - self._since > _PATIENCE:
+            self._footer.show_update(working or overlay is not DRAWING_OVERLAY)
+            self.doing.emit(messages.progress(monitor, self._work))
+            self._footer.explain(monitor.message)
