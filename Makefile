@@ -87,6 +87,9 @@ speed: setup
 window: setup-for-windows
 	@$(HEADLESS) $(RUN) -m benchmarks.window $(if $(AGAINST),--against $(AGAINST))
 
+routes: setup-for-windows
+	@$(HEADLESS) $(RUN) -m benchmarks.routes
+
 peers: NAMES = peers
 peers: setup-for-report
 	@$(RUN) -m validation $(NAMES)

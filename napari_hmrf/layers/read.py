@@ -436,11 +436,6 @@ class StudyReader:
         self._viewer, self._model, self._settle = viewer, model, settle
         self._copies: LayerCopies = shared(viewer, LayerCopies)
 
-    @property
-    def view(self) -> View:
-        """View of the visible slice, or of the volume if the chosen extent is "volume"."""
-        return View.of(self._viewer.dims, self._model.choice.extent == "volume")
-
     def request(self) -> Request:
         """Return the current choices, with the visible slice and its drawing.
 
@@ -454,7 +449,7 @@ class StudyReader:
         can_do_without = isinstance(model.choice.tissue_layer, Labels) and not model.image_is_gone
         if model.image is None and not can_do_without:
             raise NoImageError("Choose an image, or open one (File > Open).")
-        request = Request.of(model, self.view)
+        request = Request.of(model, View.of(self._viewer.dims, model.choice.is_volume))
         return replace(request, drawing=self._model.get(_slice_of(request), Drawing()))
 
     def read(self, request: Request) -> Study:
@@ -521,8 +516,11 @@ class StudyReader:
         HmrfError
             If the slice cannot be read, or if all its pixels have the same value.
         """
-        image = self._model.image
-        study = self.read(Request(image=image, view=self.view, drawing=Drawing()))
+        image, view = (
+            self._model.image,
+            View.of(self._viewer.dims, self._model.choice.is_volume),
+        )
+        study = self.read(Request(image=image, view=view, drawing=Drawing()))
         assert study.intensities is not None
         return first_curve(study.intensities)
 

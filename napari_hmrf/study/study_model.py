@@ -119,6 +119,11 @@ class ImageChoice(Conditions):
     preset: Preset | None = None
 
     @property
+    def is_volume(self) -> bool:
+        """True if a whole volume is solved."""
+        return self.extent == "volume"
+
+    @property
     def tissue_layer(self) -> Any:
         """Layer that is selected as the tissue map, or None."""
         return None if self.tissue == BRIGHTNESS else self.tissue

@@ -20,7 +20,7 @@ from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.painted_overlay import ShownDeformation
 from napari_hmrf.layers.read import NoImageError, StudyReader
 from napari_hmrf.layers.result_layers import CompleteResult
-from napari_hmrf.layers.slice_view import directions_of, plane_shown
+from napari_hmrf.layers.slice_view import View, directions_of, plane_shown
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.study.drag_preview import as_dragged, drag_preview
 from napari_hmrf.study.engine import Deformation
@@ -135,6 +135,11 @@ class Controller:
     def source(self) -> Layer | None:
         """Layer that is deformed, or None."""
         return self._model.slice.layer
+
+    @property
+    def view(self) -> View:
+        """View of the visible slice, or of the volume if a volume is deformed."""
+        return View.of(self._viewer.dims, self._model.choice.is_volume)
 
     @property
     def latest(self) -> CompleteResult | None:
@@ -359,7 +364,7 @@ class Controller:
             volume, place, view = (
                 len(study.grid.shape) == 3,
                 study.grid.known_place,
-                self.reader.view,
+                self.view,
             )
             in_slices = volume and len(view.displayed) == 2
             plane = plane_shown(place, view) if in_slices else None

@@ -99,7 +99,7 @@ class Guide:
             has_slices=form.extent.has_slices,
             sees_volume=place is None
             or len(place.plane) == 2
-            or shows_volume(place, self._controller.reader.view),
+            or shows_volume(place, self._controller.view),
             is_live=form.footer.live.value,
             live_reason=form.footer.live.reason,
             tool=tool.hint if is_active else "",

@@ -81,7 +81,7 @@ class PairJob:
         assert study is not None
         try:
             picture = second_picture(
-                second, study.grid.known_place, study.grid.shape, self._controller.reader.view
+                second, study.grid.known_place, study.grid.shape, self._controller.view
             )
         except Exception as error:  # noqa: BLE001 - a layer may raise anything
             self._controller.refuse(error)

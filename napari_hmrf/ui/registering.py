@@ -133,7 +133,7 @@ class Registering:
             matrix = found.registration.matrix
             if not np.array_equal(matrix, np.eye(len(matrix))):
                 place = found.study.grid.known_place
-                if align_layer(second, place, matrix, self._controller.reader.view):
+                if align_layer(second, place, matrix, self._controller.view):
                     self._form.alignment.value = None
                     parts.append(_MOVED.format(second.name))
             self.job.message.emit(" ".join(filter(None, parts)))

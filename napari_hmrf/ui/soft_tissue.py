@@ -293,7 +293,7 @@ class SoftTissue(DockValues):
         chosen = (self.image if by_brightness else self.tissue, self.boundary)
         preset, drawing = self._form.motion.fields.preset.value, self.drawing
         made = add_missing(
-            self._viewer, self.image, *chosen, self._controller.reader.view, preset, drawing
+            self._viewer, self.image, *chosen, self._controller.view, preset, drawing
         )
         with self._binding.automatically():  # undo would not remove the layers
             self.tissue, self.boundary = BRIGHTNESS if by_brightness else made[0], made[1]
@@ -354,7 +354,7 @@ class SoftTissue(DockValues):
         """
         if self.image is None or not self._controller.refresh():
             raise HmrfError(messages.WELCOME if self.image is None else self.status)
-        grid, view = self.study.grid, self._controller.reader.view
+        grid, view = self.study.grid, self._controller.view
         added = {(mark.source, mark.target) for mark in self._added_landmarks}
         others = [
             mark

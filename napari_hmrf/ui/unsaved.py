@@ -239,7 +239,7 @@ class Unsaved:
             return ""
         try:
             chosen = read_landmarks(
-                where, should, grid.known_place, grid.shape, self._controller.reader.view
+                where, should, grid.known_place, grid.shape, self._controller.view
             )
         except HmrfError:  # reported when the landmarks are added
             return ""

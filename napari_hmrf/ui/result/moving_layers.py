@@ -12,8 +12,10 @@ import numpy.typing as npt
 from psygnal import Signal
 
 from napari_hmrf.field.animation import MARKS, Moment, Motion
+from napari_hmrf.field.comparison import Comparison
 from napari_hmrf.field.deformation import magnitude
 from napari_hmrf.field.tissue_point import Points
+from napari_hmrf.field.units import as_seen
 from napari_hmrf.layers.field_layer import picture_of, source_of
 from napari_hmrf.layers.image_result import Part, Result
 from napari_hmrf.layers.metadata import METADATA
@@ -289,3 +291,32 @@ class Player:
         else:
             work = partial(shown.motion.at, percent / FULL)
             self._jobs.submit("moment", work, partial(self._on_computed, shown, percent))
+
+
+def how_far(
+    result: PlacedSolution,
+    longest: float,
+    percent: int,
+    compared: Comparison | None = None,
+    *,
+    is_before: bool = False,
+) -> str:
+    """Describe the displayed deformation, its slice, and its difference from a reference.
+
+    `is_before` is True while the undeformed image is shown instead of the deformation.
+    """
+    far = as_seen(longest * percent / FULL, result.solution.spacing)
+    where = f" in {result.frame.slice_seen}" if result.frame.slice_seen else ""
+    distance = f"up to {far:.3g} {result.unit}{where}"
+    moved = f"{percent} %: tissue moved {distance}"
+    if is_before:
+        moved = f"Shown undeformed; at {percent} %, tissue moves {distance}"
+    if compared is None:
+        return moved
+    return f"{moved}. {compared.in_words(result.solution, result.unit)}"
+
+
+def arrow_scale(times: float) -> str:
+    """Return a clause about arrows that are longer or shorter than the displacement, or ""."""
+    ratio = f"{times:.2g}"
+    return "" if ratio == "1" else f"Arrows are drawn {ratio} times as long as the motion"

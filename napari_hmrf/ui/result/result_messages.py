@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from napari_hmrf.field.comparison import Comparison
 from napari_hmrf.field.directions import Directions
-from napari_hmrf.field.units import as_seen
 from napari_hmrf.layers.result_layers import Name, PlacedSolution
 from napari_hmrf.posterior import Uncertainty
 from napari_hmrf.solver.optimizers import Monitor
@@ -96,29 +94,6 @@ def overlay_choices(
     return [(_NONE, NOTHING), *((said.format(**words), name) for name, said in offered.items())]
 
 
-def how_far(
-    result: PlacedSolution,
-    longest: float,
-    percent: int,
-    compared: Comparison | None = None,
-    *,
-    is_before: bool = False,
-) -> str:
-    """Describe the displayed deformation, its slice, and its difference from a reference.
-
-    `is_before` is True while the undeformed image is shown instead of the deformation.
-    """
-    far = as_seen(longest * percent / FULL, result.solution.spacing)
-    where = f" in {result.frame.slice_seen}" if result.frame.slice_seen else ""
-    distance = f"up to {far:.3g} {result.unit}{where}"
-    moved = f"{percent} %: tissue moved {distance}"
-    if is_before:
-        moved = f"Shown undeformed; at {percent} %, tissue moves {distance}"
-    if compared is None:
-        return moved
-    return f"{moved}. {compared.in_words(result.solution, result.unit)}"
-
-
 def least_sure(answer: PlacedSolution, estimated: Uncertainty) -> str:
     """Return a message about the patch with the longest error bar, where a landmark helps most."""
     # Without air, which is tissue of the problem only.
@@ -126,12 +101,6 @@ def least_sure(answer: PlacedSolution, estimated: Uncertainty) -> str:
     place = ", ".join(str(index) for index in site)
     longest = f"± {estimated.along[site]:.2g} {answer.unit}"
     return f"Least sure: {longest} at pixel ({place}). One more landmark helps most there."
-
-
-def arrow_scale(times: float) -> str:
-    """Return a clause about arrows that are longer or shorter than the displacement, or ""."""
-    ratio = f"{times:.2g}"
-    return "" if ratio == "1" else f"Arrows are drawn {ratio} times as long as the motion"
 
 
 def saved_uncertainty(paths: Sequence[Path]) -> str:

@@ -26,7 +26,7 @@ from napari_hmrf.ui.forms import attempt
 from napari_hmrf.ui.jobs import BackgroundJobs
 from napari_hmrf.ui.result import result_messages as words
 from napari_hmrf.ui.result.cursor import UnderCursor
-from napari_hmrf.ui.result.moving_layers import MovingLayers, Player
+from napari_hmrf.ui.result.moving_layers import MovingLayers, Player, arrow_scale, how_far
 from napari_hmrf.ui.result.result_form import BEFORE_KEY, PAUSE, PLAY, ResultForm
 from napari_hmrf.ui.result.result_menu import ResultMenu
 from napari_hmrf.ui.result.uncertainty_estimator import UncertaintyEstimator
@@ -425,11 +425,11 @@ class ResultView:
                 answer = shown.answer
                 difference = self.comparison.in_words(answer.solution, answer.unit)
             percent, is_before = self._form.slider.value, shown.layers.is_before
-            text = words.how_far(
+            text = how_far(
                 shown.answer, shown.longest, percent, self.comparison, is_before=is_before
             )
             if not is_before:
-                text = ". ".join(filter(None, (text, words.arrow_scale(shown.times_as_long))))
+                text = ". ".join(filter(None, (text, arrow_scale(shown.times_as_long))))
             if shown.overlay is not None and percent == words.FULL and not is_before:
                 text = ". ".join(filter(None, (text.rstrip("."), shown.overlay.beyond)))
         self._form.how_far.show_text(self._pulled or text)

@@ -26,7 +26,7 @@ from napari_hmrf.layers.metadata import METADATA, metadata_of
 from napari_hmrf.solver.optimizers import ICM
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.ui.result.cursor import stiffness_of
-from napari_hmrf.ui.result.result_messages import how_far
+from napari_hmrf.ui.result.moving_layers import how_far
 from tests.support.docks import quick, viewer_of
 from tests.support.person import SHIFT
 from tests.support.windowless import Touch
