@@ -151,7 +151,9 @@ class ImageWindow(Window):
         self.viewer.mouse_over_canvas = True
         self.resize(*_WINDOW)
         self._dock.deformation_changed.connect(self._on_result)
-        self._dock.study_model.changed.connect(self._on_drawing)
+        # Earlier versions have another name for the session.
+        session = getattr(self._dock, "session", None) or self._dock.study_model
+        session.changed.connect(self._on_drawing)
         self.drag(1.0)  # compiled loops are loaded
 
     def drag(self, seconds: float) -> Turn:

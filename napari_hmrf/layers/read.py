@@ -35,8 +35,8 @@ from napari_hmrf.layers.slice_view import View, check_size, frame_of, plane_shap
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.volume_memory import STUDY, require_memory
+from napari_hmrf.study.session import BRIGHTNESS, Part, Session
 from napari_hmrf.study.study import Conditions, Grid, Motion, Pictures, Study, Tissue
-from napari_hmrf.study.study_model import BRIGHTNESS, Part, StudyModel
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.material_presets import Preset
@@ -103,31 +103,31 @@ class Request(Conditions):
     curve: StiffnessCurve | None = None
 
     @classmethod
-    def of(cls, model: StudyModel, view: View) -> Request:
-        """Return the request for the image that is selected in a model.
+    def of(cls, session: Session, view: View) -> Request:
+        """Return the request for the image that is selected in a session.
 
         Parameters
         ----------
-        model : StudyModel
+        session : Session
         view : View
             Visible slice.
         """
-        choice = model.choice
+        choice = session.choice
         tissue, boundary = choice.tissue_layer, choice.boundary
-        materials = None if tissue is None else model.table(TISSUE, tissue)
-        rules = None if boundary is None else model.table(BOUNDARY, boundary)
+        materials = None if tissue is None else session.table(TISSUE, tissue)
+        rules = None if boundary is None else session.table(BOUNDARY, boundary)
         return cls(
-            image=model.image,
+            image=session.image,
             tissue=tissue,
             materials=None if materials is None else materials.rows,
             boundary=boundary,
             rules=None if rules is None else rules.rows,
             confidence=choice.confidence if isinstance(boundary, Vectors) else None,
             view=view,
-            drawing=model.drawing,
+            drawing=session.drawing,
             preset=choice.preset,
             without_border=choice.without_border,
-            curve=model.curve if choice.tissue == BRIGHTNESS else None,
+            curve=session.curve if choice.tissue == BRIGHTNESS else None,
             **choice.conditions,
         )
 
@@ -426,14 +426,14 @@ class StudyReader:
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
-    model : StudyModel
-        Model with the choices.
+    session : Session
+        Session with the choices.
     settle : callable
-        Called before the choices are read, so that they are all in the model.
+        Called before the choices are read, so that they are all in the session.
     """
 
-    def __init__(self, viewer: Any, model: StudyModel, settle: Callable[[], object]) -> None:
-        self._viewer, self._model, self._settle = viewer, model, settle
+    def __init__(self, viewer: Any, session: Session, settle: Callable[[], object]) -> None:
+        self._viewer, self._session, self._settle = viewer, session, settle
         self._copies: LayerCopies = shared(viewer, LayerCopies)
 
     def request(self) -> Request:
@@ -445,12 +445,12 @@ class StudyReader:
             If neither an image nor tissue labels are chosen.
         """
         self._settle()
-        model = self._model
-        can_do_without = isinstance(model.choice.tissue_layer, Labels) and not model.image_is_gone
-        if model.image is None and not can_do_without:
+        session = self._session
+        is_painted = isinstance(session.choice.tissue_layer, Labels)
+        if session.image is None and (session.image_is_gone or not is_painted):
             raise NoImageError("Choose an image, or open one (File > Open).")
-        request = Request.of(model, View.of(self._viewer.dims, model.choice.is_volume))
-        return replace(request, drawing=self._model.get(_slice_of(request), Drawing()))
+        request = Request.of(session, View.of(self._viewer.dims, session.choice.is_volume))
+        return replace(request, drawing=self._session.get(_slice_of(request), Drawing()))
 
     def read(self, request: Request) -> Study:
         """Read the study of a request, with the chosen model and solver settings.
@@ -460,14 +460,14 @@ class StudyReader:
         HmrfError
             If a layer cannot be read.
         """
-        model = self._model.model
+        model = self._session.model
         study = study_from_layers(request, self._copies)
         place = SlicePlace.of(study.grid.known_place)
         motion = replace(
             study.motion,
             typical_strain=model.strain,
             drift=model.drift,
-            measured=self._model.get(Part("measured", request.layers[0], place)),
+            measured=self._session.get(Part("measured", request.layers[0], place)),
         )
         return replace(study, motion=motion, prior=model.prior, optimizer=model.optimizer)
 
@@ -486,7 +486,7 @@ class StudyReader:
         """
         try:
             request = self.request()
-            if _slice_of(request) != self._model.slice:
+            if _slice_of(request) != self._session.slice:
                 return last  # a slice is displayed that could not be selected
         except Exception:  # noqa: BLE001 - a layer may raise anything
             return last
@@ -517,8 +517,8 @@ class StudyReader:
             If the slice cannot be read, or if all its pixels have the same value.
         """
         image, view = (
-            self._model.image,
-            View.of(self._viewer.dims, self._model.choice.is_volume),
+            self._session.image,
+            View.of(self._viewer.dims, self._session.choice.is_volume),
         )
         study = self.read(Request(image=image, view=view, drawing=Drawing()))
         assert study.intensities is not None

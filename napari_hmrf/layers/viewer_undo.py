@@ -15,7 +15,7 @@ from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, store_table
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_layers import layers_of, shared
 from napari_hmrf.study.edit_history import Step
-from napari_hmrf.study.study_model import Part, StudyModel
+from napari_hmrf.study.session import Part, Session
 from napari_hmrf.tissue.row_table import RowTable
 
 #: Name of the method for each key. In napari, Ctrl+Y switches between the 2-D and the 3-D view.
@@ -25,7 +25,7 @@ _strokes = itertools.count(1)
 
 
 class ViewerUndo:
-    """Undo and redo for the `StudyModel` of a viewer; `undo_of` returns the viewer's instance.
+    """Undo and redo for the `Session` of a viewer; `undo_of` returns the viewer's instance.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ class ViewerUndo:
 
     Attributes
     ----------
-    model : StudyModel
+    session : Session
     message : Signal(str, object)
         Emitted after undo or redo, with a sentence for the user and the `Step`, or None if there
         was no step.
@@ -42,32 +42,32 @@ class ViewerUndo:
     message = Signal(str, object)
 
     def __init__(self, viewer: Any) -> None:
-        self.model = StudyModel()
+        self.session = Session()
         self._layers = layers_of(viewer)
         self._viewer = self._layers.viewer
         # Docks that have bound the keys.
         self._owners: weakref.WeakSet[object] = weakref.WeakSet()
         # Stacks that unbind the keys of the viewer and of the active layer.
         self._keys, self._of_layer = ExitStack(), ExitStack()
-        self.model.changed.connect(self._on_changed)
+        self.session.changed.connect(self._on_changed)
         viewer.layers.events.removed.connect(self._on_removed)
 
     def undo(self) -> None:
         """Undo the last step, and show its image and slice."""
-        if not self._undo_older_paint("undo", self.model.next_undo):
-            self._report("undo", "Undid", self.model.undo(), "There is nothing to undo.")
+        if not self._undo_older_paint("undo", self.session.next_undo):
+            self._report("undo", "Undid", self.session.undo(), "There is nothing to undo.")
 
     def redo(self) -> None:
         """Redo the most recently undone step, and show its image and slice."""
-        if not self._undo_older_paint("redo", self.model.next_redo):
-            self._report("redo", "Redid", self.model.redo(), "There is nothing to redo.")
+        if not self._undo_older_paint("redo", self.session.next_redo):
+            self._report("redo", "Redid", self.session.redo(), "There is nothing to redo.")
 
     def tooltips(self, image: Any = None) -> tuple[str, str]:
         """Return the tooltips of undo and redo, with the next step and the key.
 
         A step that changes another image than `image` is named with that image.
         """
-        undo, redo = self.model.next_undo, self.model.next_redo
+        undo, redo = self.session.next_undo, self.session.next_redo
         first, second = self._tip("undo", undo, image), self._tip("redo", redo, image)
         return f"{first} (Ctrl+Z)", f"{second} (Ctrl+Shift+Z)"
 
@@ -122,10 +122,10 @@ class ViewerUndo:
     def _on_paint(self, event: Any) -> None:
         """Record a brush stroke in a Labels layer as a step."""
         part = Part("paint", event.source)
-        self.model.setdefault(part, 0)
+        self.session.setdefault(part, 0)
         # Use a global counter: with a counter per layer, a stroke after an undo would have the
         # number of the undone stroke.
-        self.model.do(part, next(_strokes), f"painted in '{event.source.name}'")
+        self.session.do(part, next(_strokes), f"painted in '{event.source.name}'")
 
     def _undo_older_paint(self, name: str, step: Step | None) -> bool:
         """Undo or redo paint older than all steps; return whether there was such paint."""
@@ -141,9 +141,9 @@ class ViewerUndo:
             # napari stores at most 100 strokes, so the stroke may no longer be available.
             if part.kind == "paint" and paint_steps(part.layer, name):
                 self._repeat(part.layer, name)
-            image = self.model.image_of(part)
+            image = self.session.image_of(part)
             if image is not None:  # Labels are deformed without an image
-                self.model.select(None if isinstance(image, Labels) else image)
+                self.session.select(None if isinstance(image, Labels) else image)
             self.go_to(part)
             what += self._of_image(part)
         self.message.emit(nothing if step is None else f"{what}: {step.word}.", step)
@@ -158,15 +158,17 @@ class ViewerUndo:
 
     def _of_image(self, part: Part) -> str:
         """Return a phrase with the name of the image if several images were edited, or ""."""
-        images = {each.layer for each in self.model.parts if each.kind == "drawing" and each.layer}
-        image = self.model.image_of(part)
+        images = {
+            each.layer for each in self.session.parts if each.kind == "drawing" and each.layer
+        }
+        image = self.session.image_of(part)
         return f" on '{image.name}'" if len(images) > 1 and image is not None else ""
 
     def _tip(self, what: str, step: Step | None, image: Any) -> str:
         if step is None:
             return f"Nothing to {what}"
         part = step.part
-        own = self.model.image_of(part) if isinstance(part, Part) else None
+        own = self.session.image_of(part) if isinstance(part, Part) else None
         where = f" on '{own.name}'" if own is not None and own is not image else ""
         return f"{what.capitalize()}{where}: {step.word}"
 
@@ -200,7 +202,7 @@ class ViewerUndo:
             store_table(value, part.layer, part.kind)
 
     def _on_removed(self, event: Any) -> None:
-        self.model.remove(event.value)
+        self.session.remove(event.value)
 
 
 def undo_of(viewer: Any) -> ViewerUndo:

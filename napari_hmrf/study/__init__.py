@@ -6,7 +6,7 @@ A field is computed in five steps, without napari or Qt:
    energy and optimizer. A script creates a study with ``Study(...)``, ``io/`` reads it from a file,
    and ``layers/`` from the selected layers. `models` defines the energy and optimizer of each named
    model.
-2. *Edit.* In the window, `study_model` stores the parts that the user edits: the drawing of each
+2. *Edit.* In the window, `session` stores the parts that the user edits: the drawing of each
    slice, the table of each layer, and the choices for each image. `edit_history` can undo edits to
    these parts.
 3. *Problem.* `ground` converts labels, rules and brightness to stiffness and observations, and adds

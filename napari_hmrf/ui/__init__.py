@@ -4,9 +4,9 @@ This is the only subpackage that imports Qt.
 
 An edit passes through six steps:
 
-1. *Edit.* A form writes its values to the `StudyModel` through `form_binding`. A tool writes its
-   drawing to the same model; `motion.pointer` passes mouse and key events to the current tool.
-   The model records one undo step and emits `changed`.
+1. *Edit.* A form writes its values to the `Session` through `form_binding`. A tool writes its
+   drawing to the same session; `motion.pointer` passes mouse and key events to the current tool.
+   The session records one undo step and emits `changed`.
 2. *Read.* Once napari is idle, `Controller.refresh` reads the chosen layers as a `Study` through
    `layers.read`. After an edit to the drawing, only the drawing is replaced.
 3. *Submit.* The controller submits the study to the `PacedEngine` of `solving`, which solves the

@@ -24,8 +24,8 @@ from napari_hmrf.layers.slice_view import View, directions_of, plane_shown
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.study.drag_preview import as_dragged, drag_preview
 from napari_hmrf.study.engine import Deformation
+from napari_hmrf.study.session import Session
 from napari_hmrf.study.study import Study
-from napari_hmrf.study.study_model import StudyModel
 from napari_hmrf.study.support import refuse_unsupported
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.curve.curve_layer import CurveLayer
@@ -54,7 +54,7 @@ class Controller:
     viewer : napari.Viewer or ViewerModel
     form, binding, pointer : DockForm, FormBinding, Pointer
         Views of the study, also available as attributes.
-    model : StudyModel
+    session : Session
 
     Attributes
     ----------
@@ -91,13 +91,13 @@ class Controller:
         form: DockForm,
         binding: FormBinding,
         pointer: Pointer,
-        model: StudyModel,
+        session: Session,
     ) -> None:
         self._viewer, self.form, self.binding, self.pointer = viewer, form, binding, pointer
-        self._model = model
+        self._session = session
         self._is_released = False
-        self.reader = StudyReader(viewer, model, binding.settle)
-        # Study that was read last, without later changes to its drawing.
+        self.reader = StudyReader(viewer, session, binding.settle)
+        # Study that was read last; its drawing is updated when it is asked for.
         self._read: Study | None = None
         self._results: weakref.WeakKeyDictionary[Layer, CompleteResult]
         self._results = weakref.WeakKeyDictionary()
@@ -126,20 +126,20 @@ class Controller:
     @property
     def study(self) -> Study | None:
         """Study that was read last, with the current drawing; None if no study could be read."""
-        read = self._read
-        if read is None:
-            return None
-        return replace(read, motion=replace(read.motion, drawing=self._model.drawing))
+        read, drawing = self._read, self._session.drawing
+        if read is not None and read.motion.drawing is not drawing:
+            self._read = read = replace(read, motion=replace(read.motion, drawing=drawing))
+        return read
 
     @property
     def source(self) -> Layer | None:
         """Layer that is deformed, or None."""
-        return self._model.slice.layer
+        return self._session.slice.layer
 
     @property
     def view(self) -> View:
         """View of the visible slice, or of the volume if a volume is deformed."""
-        return View.of(self._viewer.dims, self._model.choice.is_volume)
+        return View.of(self._viewer.dims, self._session.choice.is_volume)
 
     @property
     def latest(self) -> CompleteResult | None:
@@ -316,7 +316,7 @@ class Controller:
         study = self.reader.read(request)
         refuse_unsupported(study)
         self._select_slice(study, request.layers[0])
-        return replace(study, motion=replace(study.motion, drawing=self._model.drawing))
+        return replace(study, motion=replace(study.motion, drawing=self._session.drawing))
 
     def _select_slice(self, study: Study, source: Any) -> None:
         """Make a study current, and select the drawing of its slice."""

@@ -10,8 +10,8 @@ from typing import Any
 from napari_hmrf.posterior.fit import Fit
 from napari_hmrf.posterior.study_fit import StudyFit, fit_study
 from napari_hmrf.registration.study_registration import SecondPicture
+from napari_hmrf.study.session import Part, Session
 from napari_hmrf.study.study import Study
-from napari_hmrf.study.study_model import Part, StudyModel
 from napari_hmrf.study.support import supports
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.ui.controller import Controller
@@ -34,12 +34,12 @@ class Fitting:
     Parameters
     ----------
     controller : Controller
-    model : StudyModel
-        Model with the tissue table, which receives the fitted values.
+    session : Session
+        Session with the tissue table, which receives the fitted values.
     """
 
-    def __init__(self, controller: Controller, model: StudyModel) -> None:
-        self._controller, self._model = controller, model
+    def __init__(self, controller: Controller, session: Session) -> None:
+        self._controller, self._session = controller, session
         self._form: RegistrationForm = controller.form.result.registration
         #: Job that fits the tissues.
         self.job = PairJob(controller, _WORDS, self._show_outcome)
@@ -49,7 +49,7 @@ class Fitting:
         self._found: tuple[Fit, object] | None = None
         self._form.fit.changed.connect(self.open)
         self._connections = EventConnections(
-            (model.changed, self._on_changed),
+            (session.changed, self._on_changed),
             (controller.slice_changed, self._refresh),
             (controller.form.result.second.changed, self._refresh),
         )
@@ -80,7 +80,7 @@ class Fitting:
         if pair is None:
             window.show_outcome(_INVALID)
             return
-        finish = partial(self._finish, self._part, self._model.measured_part)
+        finish = partial(self._finish, self._part, self._session.measured_part)
         self.job.start(partial(self._run, *pair, self._ticked), finish)
         window.show_outcome("Fitting ...")
         self._refresh()
@@ -95,12 +95,12 @@ class Fitting:
     @property
     def _part(self) -> Part:
         """Key of the tissue table of the image."""
-        return Part("tissue", self._model.choice.tissue_layer)
+        return Part("tissue", self._session.choice.tissue_layer)
 
     @property
     def _rows(self) -> list[Material]:
         """Deformable tissues of the tissue table; empty if there is no table."""
-        table = self._model.get(self._part)
+        table = self._session.get(self._part)
         return [] if table is None else [row for row in table.rows if row.is_deformable]
 
     def _run(
@@ -124,7 +124,7 @@ class Fitting:
 
     def _finish(self, part: Part, measured: Part, found: StudyFit) -> None:
         """Write the fitted values into the tissue table, as one step."""
-        table = self._model.get(part)
+        table = self._session.get(part)
         if table is None:  # the layer was removed
             self.job.end("")
             return
@@ -136,11 +136,11 @@ class Fitting:
             rows.append(replace(row, **changes))
         changed = table.edited(rows)
         values: dict[Part, Any] = {part: changed}
-        was_registered = self._model.get(measured) is not None
+        was_registered = self._session.get(measured) is not None
         if was_registered:
             values[measured] = None
         self._found = found.fit, changed
-        self._model.do_all(values, "fitted the tissue to the second image")
+        self._session.do_all(values, "fitted the tissue to the second image")
         parts = [f"Fitted, with intervals of 95 %: {'; '.join(found.described())}."]
         if found.fit.similarity is not None:
             parts.append(f"Agreement of the images: {100 * found.fit.similarity:.0f} %.")
@@ -167,7 +167,7 @@ class Fitting:
         self._form.show_fit(
             has_second=second is not None,
             has_tissues=bool(rows),
-            is_elastic=supports(self._model.model.name, "fit"),
+            is_elastic=supports(self._session.model.name, "fit"),
         )
         if self._window is not None and self._window.isVisible():
             self._show_window(self._window, self._window.ticked)
@@ -175,5 +175,5 @@ class Fitting:
     def _show_window(self, window: FitWindow, ticked: dict[str, set[int]]) -> None:
         """Show the current tissues in the window, and whether a fit is running."""
         window.show_busy(self.job.busy)
-        is_fitted = self._found is not None and self._found[1] == self._model.get(self._part)
+        is_fitted = self._found is not None and self._found[1] == self._session.get(self._part)
         window.show_rows(self._rows, ticked, self._found[0] if self._found and is_fitted else None)

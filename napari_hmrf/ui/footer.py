@@ -126,8 +126,8 @@ class Footer(QWidget):
     def show_steps(self, undo: ViewerUndo, image: Any = None) -> None:
         """Show the next steps to undo and redo, with their image if it is not `image`."""
         self.undo.tooltip, self.redo.tooltip = undo.tooltips(image)
-        self.undo.enabled = undo.model.next_undo is not None
-        self.redo.enabled = undo.model.next_redo is not None
+        self.undo.enabled = undo.session.next_undo is not None
+        self.redo.enabled = undo.session.next_redo is not None
 
     def show_status(self, status: str) -> None:
         """Show a status text; the tooltip has the whole text in case it does not fit."""

@@ -1,4 +1,4 @@
-"""Binding of the dock's forms to the `StudyModel`, and automatic choice of layers."""
+"""Binding of the dock's forms to the `Session`, and automatic choice of layers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from napari_hmrf.layers.metadata import BOUNDARY, role_of
 from napari_hmrf.layers.slice_view import fits
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.layers.viewer_undo import undo_of
-from napari_hmrf.study.study_model import BRIGHTNESS, ImageChoice, ModelChoice, Part
+from napari_hmrf.study.session import BRIGHTNESS, ImageChoice, ModelChoice, Part
 from napari_hmrf.tissue.material_presets import PLAIN, PRESETS, Preset
 from napari_hmrf.tissue.row_table import change
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
@@ -33,7 +33,7 @@ from napari_hmrf.ui.messages import EDGE_GOES, NOT_CHOSEN, WELCOME
 
 
 class FormBinding:
-    """Two-way binding between the dock's forms and the `StudyModel`.
+    """Two-way binding between the dock's forms and the `Session`.
 
     New layers are chosen automatically, without undo steps.
 
@@ -56,7 +56,7 @@ class FormBinding:
     def __init__(self, viewer: Any, form: DockForm) -> None:
         self._viewer, self._form = viewer, form
         self._undo = undo = undo_of(viewer)
-        self._model = model = undo.model
+        self._session = session = undo.session
         motion = form.motion
         self.fields: dict[str, Any] = {
             "tissue": form.tissue.choice,
@@ -73,30 +73,31 @@ class FormBinding:
         self.automatic = False
         # True once the user has chosen or deformed an image; new images then do not replace it.
         self._image_is_fixed = False
-        model.select(None)
+        session.select(None)
         motion.boundary.choice.changed.connect(self._on_boundary)
         form.image.changed.connect(self._on_chosen)
         for field in (form.extent, form.tissue.choice, motion.boundary.choice):
             field.changed.connect(self._on_extent)
-        if model.model_part in model.parts:  # chosen without an image, in a dock that was closed
-            form.model.choice = model.model
+        # Chosen without an image, in a dock that was closed.
+        if session.model_part in session.parts:
+            form.model.choice = session.model
         for table in form.tables:
             table.changed.connect(self._write_tables)
         for field in (*self.fields.values(), form.model, form.model.in_detail):
             field.changed.connect(self.write, max_args=0)
         form.tissue.editor.plot.edited.connect(self._use_curve)
-        form.tissue.editor.plot.settled.connect(lambda _: model.end())
+        form.tissue.editor.plot.settled.connect(lambda _: session.end())
         form.footer.undo.changed.connect(lambda _: undo.undo())
         form.footer.redo.changed.connect(lambda _: undo.redo())
 
         def show(*_: Any) -> None:
-            form.footer.show_steps(undo, model.image)
+            form.footer.show_steps(undo, session.image)
 
         self._connections = EventConnections(
-            (model.changed, self._on_changed),
-            (model.selected, self._on_selected),
-            (model.selected, show),
-            (model.steps_changed, show),
+            (session.changed, self._on_changed),
+            (session.selected, self._on_selected),
+            (session.selected, show),
+            (session.steps_changed, show),
         )
         undo.bind_keys(self)
         self.write(step=False)
@@ -113,9 +114,10 @@ class FormBinding:
 
     @contextmanager
     def _showing(self) -> Iterator[None]:
-        """Change the forms inside the block without writing their values back to the model.
+        """Change the forms inside the block without writing their values back to the session.
 
-        Writing back could change the model, because a form may round a value or not offer a layer.
+        Writing back could change the session, because a form may round a value or not offer a
+        layer.
         """
         before, self.automatic = self.automatic, True
         try:
@@ -124,7 +126,7 @@ class FormBinding:
             self.automatic = before
 
     def settle(self) -> None:
-        """Write automatic changes to the model now, rather than at the end of their block."""
+        """Write automatic changes to the session now, rather than at the end of their block."""
         if self.automatic:
             self._write(step=False)
 
@@ -132,18 +134,18 @@ class FormBinding:
 
     def refresh(self, *_: Any) -> None:
         """Update the layer menus; if the image was removed, choose another image."""
-        form, before = self._form, self._model.image
+        form, before = self._form, self._session.image
         with self.automatically():
             for choice in form.choices:
                 choice.reset_choices()
             form.motion.boundary.landmarks.refresh()
             form.motion.boundary.landmarks.suggest()
-            if before is not None and self._model.image is None:
+            if before is not None and self._session.image is None:
                 others = (form.tissue.choice.value, form.motion.boundary.confidence.value)
                 images = [layer for layer in form.image.offered if layer not in others]
                 self._image_is_fixed = self._image_is_fixed and bool(images)
                 if images:
-                    self._model.select(images[0])
+                    self._session.select(images[0])
                 else:  # the next image gets the defaults of a first image
                     usual = ImageChoice()
                     form.tissue.border.value = usual.without_border
@@ -158,7 +160,7 @@ class FormBinding:
         edited = self._drawn_on or shared(viewer, ResultLayers).sources
         with self.automatically():
             image = image_in_front(viewer, offered, edited)
-            self._model.select(image)
+            self._session.select(image)
             for layer in reversed(viewer.layers) if image is None else ():
                 self._use_painted(layer)
 
@@ -168,12 +170,14 @@ class FormBinding:
 
     def use_layer(self, layer: Any) -> None:
         """Choose a new layer as a paint layer, or as the image if no other image is in use."""
-        model, is_offered = self._model, layer in self._form.image.offered
-        begun = self._image_is_fixed or (model.image is not None and model.next_undo is not None)
+        session, is_offered = self._session, layer in self._form.image.offered
+        begun = self._image_is_fixed or (
+            session.image is not None and session.next_undo is not None
+        )
         with self.automatically():
             if is_offered and not begun:
-                model.select(layer)
-            layers, image = self._viewer.layers, model.image
+                session.select(layer)
+            layers, image = self._viewer.layers, session.image
             if image is None or layer in painted_on(image, layers, self._form.view()):
                 self._use_painted(layer)
         if is_offered and begun and not self.automatic:
@@ -200,8 +204,8 @@ class FormBinding:
     @property
     def _drawn_on(self) -> list[Any]:
         """Images with a drawing on any slice."""
-        parts = [part for part in self._model.parts if part.kind == "drawing" and part.layer]
-        return [part.layer for part in parts if self._model.get(part).marks]
+        parts = [part for part in self._session.parts if part.kind == "drawing" and part.layer]
+        return [part.layer for part in parts if self._session.get(part).marks]
 
     def _on_extent(self, _: str) -> None:
         """Make napari's brush a ball if a volume is deformed, and a disc otherwise."""
@@ -221,7 +225,7 @@ class FormBinding:
     def _on_chosen(self, image: Any) -> None:
         """Select the image that is chosen in the menu."""
         self._image_is_fixed = self._image_is_fixed or not self.automatic
-        self._model.select(image, is_gone=image is None)
+        self._session.select(image, is_gone=image is None)
 
     def _on_selected(self, image: Any, before: Any) -> None:
         """Show the earlier choices for an image, or choose layers for a new image.
@@ -231,15 +235,15 @@ class FormBinding:
         HmrfError
             If the image is not in the viewer; the previous image remains selected.
         """
-        form, model = self._form, self._model
+        form, session = self._form, self._session
         if image is not None and image not in form.image.offered:
-            model.select(before)
+            session.select(before)
             raise HmrfError(
                 f"'{image.name}' is not an image in this viewer. Add it to the viewer first."
             )
         # Choices made before the first image, or for a removed image, apply to the next image.
         keep_choices = before is None or (image is None and self.automatic)
-        known, choice = Part("choice", image) in model.parts, model.choice
+        known, choice = Part("choice", image) in session.parts, session.choice
         with self.automatically():
             if image is not form.image.value:
                 form.image.value = image
@@ -248,10 +252,10 @@ class FormBinding:
                 self._offer_presets(None)
             if not keep_choices:
                 self._show(ImageChoice())
-            if not keep_choices or model.model_part in model.parts:
-                self._show_model(model.model)
+            if not keep_choices or session.model_part in session.parts:
+                self._show_model(session.model)
             form.extent.show_for(image)
-            form.tissue.offer(model.curve)
+            form.tissue.offer(session.curve)
             if image is not None and known:
                 self._show(choice)
             elif image is not None:
@@ -259,17 +263,20 @@ class FormBinding:
 
     def _offer_presets(self, chosen: Preset | None) -> None:
         """Offer all presets, and show the chosen one; by default, one for the kind of image."""
-        image = self._model.image
+        image = self._session.image
         usual = PLAIN if image is not None and is_photograph(image) else PRESETS[0]
         self._form.motion.fields.offer_presets(usual, chosen)
 
     def _begin_with(self, image: Any) -> None:
         """Choose the layers painted on a new image, and drop choices that do not fit the image."""
-        model, view = self._model, self._form.view()
+        session, view = self._session, self._form.view()
         # Layers that are in use for other images are not chosen.
-        others = [each for each in model.parts if each.kind == "choice" and each.layer]
+        others = [each for each in session.parts if each.kind == "choice" and each.layer]
         used_by_others = [
-            layer for part in others if part.layer is not image for layer in model.get(part).layers
+            layer
+            for part in others
+            if part.layer is not image
+            for layer in session.get(part).layers
         ]
         for field in self.fields.values():
             layer = field.value
@@ -284,7 +291,7 @@ class FormBinding:
         """Show choices in the form, except layers that were removed."""
         with self.automatically():
             if choice.tissue == BRIGHTNESS:
-                self._form.tissue.offer(self._model.curve)
+                self._form.tissue.offer(self._session.curve)
             self._offer_presets(choice.preset)
             for name, field in self.fields.items():
                 if name == "preset":
@@ -296,33 +303,33 @@ class FormBinding:
         """Show the tissue model of an image in the form."""
         self._form.model.choice = model
 
-    # From the forms to the model
+    # From the forms to the session
 
     def release(self) -> None:
-        """Disconnect from the model and the keys after the dock was closed or deleted."""
+        """Disconnect from the session and the keys after the dock was closed or deleted."""
         self._undo.unbind_keys(self)
         self._connections.release()
         self.automatic = True  # a closed form must write nothing
 
     def write(self, *, step: bool = True) -> None:
-        """Write the values of the forms to the model, unless the program is changing them."""
+        """Write the values of the forms to the session, unless the program is changing them."""
         if not self.automatic:
             self._write(step)
 
     def _write(self, step: bool) -> None:
         self._write_tables(automatic=not step)
         values = {name: field.value for name, field in self.fields.items()}
-        self._model.choose(step=step, **values)
-        self._model.choose_model(self._form.model.choice, step=step)
+        self._session.choose(step=step, **values)
+        self._session.choose_model(self._form.model.choice, step=step)
 
     def _write_tables(self, automatic: bool) -> None:
         for table in () if self.automatic and not automatic else self._form.tables:
             layer = table.layer
             if layer is None:
                 continue
-            before = self._model.table(table.role, layer)
+            before = self._session.table(table.role, layer)
             word = "" if automatic or before is None else change(before, table.contents, layer.name)
-            self._model.set_table(table.role, layer, table.contents, word)
+            self._session.set_table(table.role, layer, table.contents, word)
 
     @property
     def curve(self) -> StiffnessCurve | None:
@@ -333,23 +340,23 @@ class FormBinding:
     def curve(self, curve: StiffnessCurve | None) -> None:
         if curve is not None:
             self._use_curve(curve)
-            self._model.end()
+            self._session.end()
         elif self.curve is not None:
             self._form.tissue.choice.value = None
 
     def _use_curve(self, curve: StiffnessCurve) -> None:
         """Use a curve for the image: its first curve, or the next state of an edited curve."""
-        image: Any = self._model.image
+        image: Any = self._session.image
         if image is None:
             raise HmrfError(WELCOME)
         word = f"changed the curve of '{image.name}'"
-        if self._model.curve is None:
-            self._model.set_curve(curve, word)  # the first curve is not an undo step
+        if self._session.curve is None:
+            self._session.set_curve(curve, word)  # the first curve is not an undo step
         if self.curve is None:
-            self._form.tissue.go_by(self._model.curve or curve)
-        self._model.set_curve(curve, word)
+            self._form.tissue.go_by(self._session.curve or curve)
+        self._session.set_curve(curve, word)
 
-    # From the model to the forms
+    # From the session to the forms
 
     def _on_changed(self, part: Part, value: Any, _: Any = None) -> None:
         """Show a changed part in the form."""
@@ -357,7 +364,7 @@ class FormBinding:
         if part.kind == "drawing":
             return
         with self._showing():
-            is_current = part.layer is self._model.image
+            is_current = part.layer is self._session.image
             if part.kind == "model" and is_current:
                 form.model.choice = value
             elif part.kind == "choice" and is_current:
@@ -366,10 +373,10 @@ class FormBinding:
                 for layer in value.layers:  # undo may restore a layer that was removed
                     if isinstance(layer, Layer) and layer not in self._viewer.layers:
                         value = value.without(layer)
-                self._model.amend(part, value)
+                self._session.amend(part, value)
             elif part.kind == "curve" and is_current:
                 form.tissue.offer(value)
-                if self._model.choice.tissue == BRIGHTNESS:
+                if self._session.choice.tissue == BRIGHTNESS:
                     form.tissue.go_by(value)
             for table in form.tables:
                 if part == Part(table.role, table.layer):

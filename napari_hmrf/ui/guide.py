@@ -61,9 +61,9 @@ class Guide:
         for signal in (*changes, form.result.overlay.changed, form.model.model.changed):
             signal.connect(self.show)
         controller.result_drawn.connect(self._on_followed)
-        self._model = undo.model
+        self._session = undo.session
         self._connections = EventConnections(
-            (undo.message, self._on_step), (undo.model.selected, self._on_begun)
+            (undo.message, self._on_step), (undo.session.selected, self._on_begun)
         )
 
     def release(self) -> None:
@@ -84,12 +84,12 @@ class Guide:
         """Return the situation; which image covers the chosen one takes time, and is for hints."""
         form, pointer, viewer = self._form, self._pointer, self._viewer
         tool, is_active, moved = pointer.tool, pointer.active, pointer.display.moved
-        image = still_there(viewer, self._model.image) if with_hint else None
+        image = still_there(viewer, self._session.image) if with_hint else None
         other = None if image is None else image_covering(viewer, image)
         place = None if moved is None else moved.study.grid.known_place
         tissue, boundary = form.tissue.choice.value, form.motion.boundary.choice.value
         return Situation(
-            has_image=self._model.image is not None,
+            has_image=self._session.image is not None,
             has_layers=bool(viewer.layers),
             lacks_tissue=tissue is None,
             lacks_boundary=boundary is None,

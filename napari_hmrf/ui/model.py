@@ -24,7 +24,7 @@ from napari_hmrf.solver.model_names import ELASTIC
 from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.solver.uncertain_landmarks import StrainScale
 from napari_hmrf.study.models import SolverDetails, detail_names
-from napari_hmrf.study.study_model import ModelChoice
+from napari_hmrf.study.session import ModelChoice
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.font_size import LabelAligner

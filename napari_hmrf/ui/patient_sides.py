@@ -11,7 +11,7 @@ from qtpy.QtWidgets import QGridLayout, QLabel
 
 from napari_hmrf.layers.compat import camera_of
 from napari_hmrf.layers.slice_view import Sides
-from napari_hmrf.study.study_model import StudyModel
+from napari_hmrf.study.session import Session
 from napari_hmrf.ui.events import EventConnections
 
 #: Style that is legible on dark and on bright tissue.
@@ -34,19 +34,19 @@ class PatientSides:
     Parameters
     ----------
     viewer : napari.Viewer or ViewerModel
-    model : StudyModel
-        Model with the selected image.
+    session : Session
+        Session with the selected image.
     """
 
-    def __init__(self, viewer: Any, model: StudyModel) -> None:
-        self._viewer, self._model = viewer, model
+    def __init__(self, viewer: Any, session: Session) -> None:
+        self._viewer, self._session = viewer, session
         self._labels: list[QLabel] = []
         dims = viewer.dims.events
         self._connections = EventConnections(
             (dims.order, self.refresh),
             (dims.ndisplay, self.refresh),
             (camera_of(viewer).events.orientation, self.refresh),
-            (model.selected, self.refresh),
+            (session.selected, self.refresh),
             (viewer.layers.events, self._on_layers),
         )
 
@@ -75,7 +75,7 @@ class PatientSides:
 
     def refresh(self, *_: Any) -> None:
         """Update the letters for the visible slice."""
-        letters = Sides.of(self._model.image, self._viewer)
+        letters = Sides.of(self._session.image, self._viewer)
         for label, letter in zip(self._labels, letters, strict=False):
             label.setText(letter)
             label.setVisible(bool(letter))

@@ -22,8 +22,8 @@ from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.engine import Deformation
 from napari_hmrf.study.measured_motion import MeasuredMotion
+from napari_hmrf.study.session import Part, Session
 from napari_hmrf.study.study import Study
-from napari_hmrf.study.study_model import Part, StudyModel
 from napari_hmrf.study.support import supports
 from napari_hmrf.ui.controller import Controller
 from napari_hmrf.ui.events import EventConnections
@@ -54,12 +54,12 @@ class Registering:
     Parameters
     ----------
     controller : Controller
-    model : StudyModel
+    session : Session
         Model that receives the measured motion.
     """
 
-    def __init__(self, controller: Controller, model: StudyModel) -> None:
-        self._controller, self._model = controller, model
+    def __init__(self, controller: Controller, session: Session) -> None:
+        self._controller, self._session = controller, session
         self._form: RegistrationForm = controller.form.result.registration
         #: Job that registers the images.
         self.job = PairJob(controller, _WORDS, self._show)
@@ -67,7 +67,7 @@ class Registering:
         self._form.register.changed.connect(self._start)
         self._form.remove.changed.connect(self._remove)
         self._connections = EventConnections(
-            (model.changed, self._on_changed),
+            (session.changed, self._on_changed),
             (controller.slice_changed, self._show),
             (controller.form.result.second.changed, self._show),
             (controller.form.model.changed, self._show),
@@ -87,7 +87,7 @@ class Registering:
             return
         second = self._controller.form.result.second.value
         work = partial(self._run, *pair, self._form.alignment.value)
-        self.job.start(work, partial(self._finish, self._model.measured_part, second))
+        self.job.start(work, partial(self._finish, self._session.measured_part, second))
         self._show()
 
     def _run(
@@ -128,7 +128,7 @@ class Registering:
         if measured is not None and part.layer in self._controller.form.image.offered:
             # Delivered only if nothing was edited since: the inputs are compared.
             self._controller.engine.deliver_again(found.study, found.registration.solution)
-            self._model.register(part, measured)
+            self._session.register(part, measured)
             parts = ["Registered.", _EDGE if found.edge_was_fixed else ""]
             matrix = found.registration.matrix
             if not np.array_equal(matrix, np.eye(len(matrix))):
@@ -140,21 +140,21 @@ class Registering:
         self._show()
 
     def _remove(self, *_: Any) -> None:
-        self._model.set_measured(None, "removed the registration")
+        self._session.set_measured(None, "removed the registration")
 
     def _on_changed(self, part: Part, *_: Any) -> None:
-        if part == self._model.measured_part:
+        if part == self._session.measured_part:
             self._controller.follow_edit()
             self._show()
 
     def _show(self, *_: Any) -> None:
         """Enable the buttons, and describe the registration of the visible slice."""
         form = self._controller.form
-        measured: MeasuredMotion | None = self._model.get(self._model.measured_part)
+        measured: MeasuredMotion | None = self._session.get(self._session.measured_part)
         second = form.result.second.value
         self._form.show(
             measured,
             second_name="" if second is None else str(second.name),
-            is_elastic=supports(self._model.model.name, "registration"),
+            is_elastic=supports(self._session.model.name, "registration"),
             is_busy=self.job.busy,
         )

@@ -22,7 +22,7 @@ from napari_hmrf.layers.viewer_layers import layers_of, shared
 from napari_hmrf.notes import kind_of
 from napari_hmrf.solver.drift import drift_clauses
 from napari_hmrf.study.landmark_data import HELD_EDGE
-from napari_hmrf.study.study_model import StudyModel
+from napari_hmrf.study.session import Session
 from napari_hmrf.tissue.drawing import Landmark
 from napari_hmrf.tissue.usual_lengths import largest_spread
 from napari_hmrf.ui.controller import Controller
@@ -54,15 +54,15 @@ class SecondImage:
         View of the selected result.
     controller : Controller
         Source of the landmarks: the chosen layers, or the drawing if no layers are chosen.
-    model : StudyModel
-        Model with the drawing, in which the table edits standard deviations.
+    session : Session
+        Session with the drawing, in which the table edits standard deviations.
     """
 
     def __init__(
-        self, viewer: Any, view: ResultView, controller: Controller, model: StudyModel
+        self, viewer: Any, view: ResultView, controller: Controller, session: Session
     ) -> None:
         self._viewer, self._view, self._controller = viewer, view, controller
-        self._model = model
+        self._session = session
         self._results = shared(viewer, ResultLayers)
         self._form = controller.form.result
         self._pair = controller.form.motion.boundary.landmarks
@@ -76,7 +76,7 @@ class SecondImage:
         changes = (view.view_changed, *(choice.changed for choice in choices))
         self._connections = EventConnections(
             (viewer.layers.events.inserted, self.refresh),
-            (model.selected, self.refresh),
+            (session.selected, self.refresh),
             (controller.outdated, self._on_outdated),
             (controller.deformation_changed, self._on_deformation),
             *((change, self.refresh) for change in changes),
@@ -97,7 +97,7 @@ class SecondImage:
 
     def refresh(self, *_: Any) -> None:
         """Show the second image over the deformed image, and measure the landmarks."""
-        image = self._model.image
+        image = self._session.image
         moved = [] if image is None else [image, *self._results.pictures_of(image)]
         self._draw(self._form.second.value, moved)
         self._points.release()
@@ -125,11 +125,11 @@ class SecondImage:
 
     def _set_sd(self, mark: Landmark, sd: float) -> None:
         """Set the standard deviation of a landmark of the drawing, as one undo step."""
-        drawing = self._model.drawing
+        drawing = self._session.drawing
         if mark in drawing.marks and mark.sd != sd:
             changed = replace(mark, sd=sd)
             drawing = drawing.replaced(drawing.marks.index(mark), changed)
-            self._model.draw(drawing, f"changed {name_of(changed)}")
+            self._session.draw(drawing, f"changed {name_of(changed)}")
         self._measure()
 
     def _draw(self, other: Any, moved: list[Any]) -> None:
@@ -215,7 +215,7 @@ class SecondImage:
         """Return the landmark of the drawing with the positions of each pair, or None."""
         marks = {
             _key((*mark.source, *mark.target)): mark
-            for mark in self._model.drawing.marks
+            for mark in self._session.drawing.marks
             if isinstance(mark, Landmark)
         }
         places = np.concatenate([pairs.at, pairs.to], axis=1).tolist()

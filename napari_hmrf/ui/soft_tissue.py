@@ -17,8 +17,8 @@ from napari_hmrf.layers.landmarks import SD_FEATURE, read_landmarks, with_spread
 from napari_hmrf.layers.viewer_layers import layers_of, put_brush_away, shared
 from napari_hmrf.layers.viewer_undo import undo_of
 from napari_hmrf.solver.solution import Solution
+from napari_hmrf.study.session import BRIGHTNESS, Session
 from napari_hmrf.study.study import Study
-from napari_hmrf.study.study_model import BRIGHTNESS, StudyModel
 from napari_hmrf.tissue.drawing import Drawing, Landmark
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui import messages
@@ -59,8 +59,8 @@ class SoftTissue(DockValues):
 
     Attributes
     ----------
-    study_model : StudyModel
-        Studies of the viewer with their undo steps. The window shows every edit to the model.
+    session : Session
+        Studies of the viewer with their undo steps. The window shows every edit.
     fields : ToolFields
         Settings of the tools.
     more : ResultMenu
@@ -103,34 +103,34 @@ class SoftTissue(DockValues):
     def __init__(self, napari_viewer: Any) -> None:
         super().__init__(napari_viewer)
         viewer, undo = self._viewer, undo_of(self._viewer)
-        self.study_model: StudyModel = undo.model
+        self.session: Session = undo.session
         self._added_landmarks: tuple[Landmark, ...] = ()
         self._form = form = DockForm(self, viewer)
         remember(form.model.in_detail.device)
         self._binding = FormBinding(viewer, form)
         self._pointer = Pointer(self.native, viewer, form.motion.fields, undo)
-        inputs = form, self._binding, self._pointer, undo.model
+        inputs = form, self._binding, self._pointer, undo.session
         self._controller = controller = Controller(self.native, viewer, *inputs)
         results = shared(viewer, ResultLayers)
         self._view = ResultView(self.native, viewer, form.result, results)
         controller.overlay_monitor = lambda: self._view.overlay_monitor
-        self._connections = EventConnections((undo.model.selected, self._view.select_image))
+        self._connections = EventConnections((undo.session.selected, self._view.select_image))
         self._guide = Guide(viewer, controller, undo)
         self._carry_over = CarryOver(
             form.carry_over,
-            undo.model,
+            undo.session,
             self._pointer.set_drawing,
             partial(self._guide.show_message, why="step"),
         )
         controller.slice_changed.connect(self._carry_over.refresh)
         self._watch = ViewerWatch(self.native, viewer, controller, self._guide)
         self._introduction = Introduction(self.native, controller, self._guide, self._on_sample)
-        self._second = SecondImage(viewer, self._view, controller, undo.model)
-        self._registering = Registering(controller, undo.model)
-        self._fitting = Fitting(controller, undo.model)
+        self._second = SecondImage(viewer, self._view, controller, undo.session)
+        self._registering = Registering(controller, undo.session)
+        self._fitting = Fitting(controller, undo.session)
         for job in (self._registering.job, self._fitting.job):
             job.message.connect(partial(self._guide.show_message, why="step"))
-        self._sides = PatientSides(viewer, undo.model)
+        self._sides = PatientSides(viewer, undo.session)
         self._unsaved = Unsaved(self, viewer, controller, self._try)
         self.fields, self.more = form.motion.fields, self._view.more
         self.deformation_changed, self.result_drawn, self.finished = (
@@ -273,7 +273,7 @@ class SoftTissue(DockValues):
         The layers, their tables and the device are kept.
         """
         self._pointer.release()
-        self.study_model.reset()
+        self.session.reset()
         self._guide.show_message(messages.WAS_RESET, "step")
 
     def make_layers(self) -> None:

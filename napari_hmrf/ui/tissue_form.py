@@ -14,7 +14,7 @@ from napari_hmrf.layers.image_result import CONFIDENCE
 from napari_hmrf.layers.metadata import metadata_of
 from napari_hmrf.layers.read import EDGES
 from napari_hmrf.layers.slice_view import View
-from napari_hmrf.study.study_model import BRIGHTNESS
+from napari_hmrf.study.session import BRIGHTNESS
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.curve.editor import CurveEditor
 from napari_hmrf.ui.layer_choice import LandmarkChoice, LayerChoice

@@ -44,12 +44,11 @@ from napari_hmrf.layers.compat import is_quitting, stop_quitting
 from napari_hmrf.layers.image_choice import is_same_image
 from napari_hmrf.layers.landmarks import read_landmarks
 from napari_hmrf.layers.read import study_layers
-from napari_hmrf.layers.unsaved_work import UnsavedWork
-from napari_hmrf.layers.viewer_layers import layers_of, shared
+from napari_hmrf.layers.viewer_layers import layers_of
 from napari_hmrf.layers.viewer_undo import undo_of
 from napari_hmrf.solver.solution import Solution
+from napari_hmrf.study.session import Part, UnsavedWork
 from napari_hmrf.study.study import Study
-from napari_hmrf.study.study_model import Part
 from napari_hmrf.tissue.drawing.drawing import Drawing, ends_of
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.controller import Controller
@@ -144,7 +143,8 @@ class Unsaved:
         self._try = attempt
         self._dock, self._viewer, self._controller = dock, viewer, controller
         self._binding, self._undo = controller.binding, undo_of(viewer)
-        self._model, self._work = self._undo.model, shared(viewer, UnsavedWork)
+        self._session = self._undo.session
+        self._work = self._session.unsaved
         self._writer = threading.Thread()
         self._keep_timer = single_shot(dock.native, _REST, self._keep)
         # Image of an opened study, and the name of its second image, until this is in the viewer.
@@ -152,9 +152,9 @@ class Unsaved:
         # Deferred, because the menus list a new layer later.
         self._second_timer = single_shot(dock.native, 0, self._choose_second)
         self._connections = EventConnections(
-            (self._model.changed, self._on_edited),
+            (self._session.changed, self._on_edited),
             (viewer.layers.events.inserted, self._on_images),
-            (self._model.selected, self._on_images),
+            (self._session.selected, self._on_images),
             (controller.form.result.second.changed, self._on_images),
         )
         self._gui = GuiThread()
@@ -186,7 +186,7 @@ class Unsaved:
         study = self._dock.study
         solution = self._dock.solution if self._controller.shows(study) else None
         written = write_study(path, study, solution, overlay=self._overlay, second=self._second)
-        apart, here = self._landmarks_apart(study), self._model.slice
+        apart, here = self._landmarks_apart(study), self._session.slice
         has_slices = self._controller.form.extent.has_slices
         extent = messages.extent_name(study.grid.known_place.slice_seen) if has_slices else ""
         others = [
@@ -222,7 +222,7 @@ class Unsaved:
     def _choose_second(self) -> None:
         """Choose the second image that an opened study names, once it is in the viewer."""
         (image, name), second = self._awaited, self._controller.form.result.second
-        if name and image is self._model.image and second.value is None:
+        if name and image is self._session.image and second.value is None:
             named = [layer for layer in second.offered if layer.name == name]
             if named:
                 with self._binding.automatically():
@@ -247,7 +247,7 @@ class Unsaved:
 
     def save_as(self) -> None:
         """Prompt for a file name, and save the study."""
-        slice_part = self._model.slice
+        slice_part = self._session.slice
         name = "study" if slice_part.layer is None else _NO_FILE_NAME.sub("-", _name(slice_part))
         known = self._work.paths.get(slice_part, Path(name + SUFFIX))
         chosen, _ = QFileDialog.getSaveFileName(
@@ -260,7 +260,7 @@ class Unsaved:
         """Add the layers of a saved study, and keep the drawings on other layers."""
         self._add(path)
         self._binding.begin()  # images that are opened later do not replace that of the study
-        self._drop_recovery(self._model.slice, Path(path))
+        self._drop_recovery(self._session.slice, Path(path))
 
     def _add(self, path: str | Path, reuse: bool = False) -> None:
         """Add the content of a file to the viewer, without undo steps for its layers.
@@ -285,7 +285,7 @@ class Unsaved:
                 first = next(iter(layers.values()))
                 place = SlicePlace(frame.plane, (0,) * first.ndim)
                 self._undo.go_to(Part("drawing", first, place), turn=True)
-            self._model.restore(study, layers)
+            self._session.restore(study, layers)
             drawing, measured = study.motion.drawing, study.motion.measured
             if measured is not None or drawing.marks:
                 is_read = self._controller.refresh()  # selects the slice
@@ -296,35 +296,35 @@ class Unsaved:
                 motion = replace(shown.motion, drawing=drawing, measured=measured)
                 self._controller.engine.deliver_again(replace(shown, motion=motion), solution)
             if measured is not None:
-                self._model.set_measured(measured)
+                self._session.set_measured(measured)
             dock.drawing = drawing
         if (brightness := self._controller.curve_layer.layer) is not None and study.moves:
             written.want(brightness, wanted=False)  # would tint the deformed image
         overlay = self._controller.form.result.overlay
         if (name := overlay_named_in(path)) in overlay.choices:
             overlay.value = name
-        self._awaited = self._model.image, second_image_named_in(path)
+        self._awaited = self._session.image, second_image_named_in(path)
         self._choose_second()
         self._missing.show_name(self._awaited[1])
         dock.fit_view()
 
     def _undrawn_image(self, image: Any) -> Any:
         """Return an open image that equals a layer and has no drawing, or None."""
-        parts = [each for each in self._model.parts if each.kind == "drawing"]
-        drawn = {each.layer for each in parts if self._model.get(each).marks}
+        parts = [each for each in self._session.parts if each.kind == "drawing"]
+        drawn = {each.layer for each in parts if self._session.get(each).marks}
         for layer in self._viewer.layers:
             if layer not in drawn and is_same_image(layer, image):
                 return layer
         return None
 
     def _on_edited(self, part: Part, _: object, before: object) -> None:
-        model = self._model
-        others = part.kind == "paint" and part.layer not in model.choice.layers
+        session = self._session
+        others = part.kind == "paint" and part.layer not in session.choice.layers
         if part.kind in ("choice", "model") or others:
             return  # easy to choose again, or not part of the study
-        slice_part = part if part.kind == "drawing" else model.slice
+        slice_part = part if part.kind == "drawing" else session.slice
         # An automatic change, such as the choice of a new layer, is not an undo step.
-        steps = (model.next_undo, model.next_redo)
+        steps = (session.next_undo, session.next_redo)
         by_hand = any(step is not None and step.part == part for step in steps)
         if slice_part.layer is not None and by_hand:
             self._work.note(slice_part, part, before)
@@ -368,7 +368,7 @@ class Unsaved:
         self._undo.go_to(part, turn=True)
         self._controller.refresh()
         known = self._work.paths.get(part)
-        if self._model.slice == part:  # False if another slice is still visible
+        if self._session.slice == part:  # False if another slice is still visible
             self._try(self.save_as if known is None else partial(self.save, known))
 
     def _show_prompt(self, question: str) -> Answer:
@@ -393,14 +393,14 @@ class Unsaved:
     def _keep(self) -> None:
         """Write the current slice to a recovery file, once no edit is in progress."""
         is_pressed = QApplication.mouseButtons() != Qt.MouseButton.NoButton
-        if is_pressed or self._model.in_progress is not None or self._writer.is_alive():
+        if is_pressed or self._session.in_progress is not None or self._writer.is_alive():
             self._keep_timer.start()
         else:
             self._write_recovery()
 
     def _write_recovery(self) -> None:
         """Write the recovery file of the current slice, or delete it if all edits were undone."""
-        slice_part = self._model.slice
+        slice_part = self._session.slice
         if slice_part not in self._work.slices:
             self._drop_recovery(slice_part)  # all edits were undone
         else:
@@ -437,7 +437,7 @@ class Unsaved:
     def _open_recovered(self, file: Path) -> None:
         """Open a recovery file of a terminated process, and keep it until the work is saved."""
         self._add(file, reuse=True)
-        slice_part = self._model.slice
+        slice_part = self._session.slice
         self._work.note(slice_part)
         self._work.saved_files[slice_part] = recovery.claim(file)
         self._dock.show_marks()
@@ -445,7 +445,7 @@ class Unsaved:
     def keep_now(self) -> None:
         """Write the recovery file of the latest edits, before the dock closes."""
         if self._keep_timer.isActive():
-            self._model.end()
+            self._session.end()
             if self._writer.is_alive():
                 self._writer.join()
             self._write_recovery()

@@ -13,7 +13,6 @@ from napari_hmrf.field.frame import PLACE
 from napari_hmrf.layers.image_choice import in_middle, uncover
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.pixel_copy import CHANGES
-from napari_hmrf.layers.unsaved_work import UnsavedWork
 from napari_hmrf.layers.viewer_layers import is_deformed, is_painted, layers_of, lies_still, shared
 from napari_hmrf.layers.viewer_undo import undo_of
 from napari_hmrf.study.study import Study
@@ -55,7 +54,7 @@ class ViewerWatch:
             controller.binding,
             controller.pointer,
         )
-        self._model = undo_of(viewer).model
+        self._session = undo_of(viewer).session
         self._results = shared(viewer, ResultLayers)
         self._active = viewer.layers.selection.active
         self._first_timer = single_shot(native, 0, self._on_first)
@@ -88,7 +87,7 @@ class ViewerWatch:
             (viewer.layers.events, self._on_layers),
             (viewer.layers.selection.events.active, self._on_active),
             (viewer.dims.events, self._on_slice),
-            (self._model.selected, self._on_image),
+            (self._session.selected, self._on_image),
         )
         self._results.paint_hidden.connect(self._on_paint_hidden)
         self._results.before_changed.connect(self._on_before)
@@ -118,7 +117,7 @@ class ViewerWatch:
     def _on_first(self) -> None:
         """Emit `first_image_ready`, unless a painted layer is chosen or another layer is active."""
         has_paint = any(layer is not None for layer in self._painted)
-        is_active = self._viewer.layers.selection.active in (None, self._model.image)
+        is_active = self._viewer.layers.selection.active in (None, self._session.image)
         if is_active and not has_paint:
             self.first_image_ready.emit()
 
@@ -214,7 +213,7 @@ class ViewerWatch:
 
     def _reads(self, layer: Any) -> bool:
         """Return whether the study is read from a layer."""
-        return layer in (self._model.image, *self._model.choice.layers)
+        return layer in (self._session.image, *self._session.choice.layers)
 
     def _on_inserted(self, event: Any) -> None:
         self._binding.refresh()
@@ -243,7 +242,7 @@ class ViewerWatch:
         tissue, boundary = self._painted
         study, is_source = self._controller.study, layer is self._controller.source
         if is_source and study is not None and study.motion.drawing.marks:
-            recovered = shared(self._viewer, UnsavedWork).saved_files
+            recovered = self._session.unsaved.saved_files
             is_kept = any(part.layer is layer for part in recovered)
             sentence = messages.DRAWING_KEPT if is_kept else messages.DRAWING_GONE
             return sentence.format(name=layer.name)
@@ -253,7 +252,7 @@ class ViewerWatch:
     def _on_left(self) -> None:
         """Remove the results of removed images, and the tools if no image is left."""
         self._results.remove_orphans()
-        if self._model.image is None and self._controller.study is None:
+        if self._session.image is None and self._controller.study is None:
             self._pointer.leave()
             self.update_mouse_mode()
         if self._removal_message:

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from napari_hmrf.study.edit_history import EditHistory, Step
-from napari_hmrf.study.study_model import StudyModel
+from napari_hmrf.study.session import Session
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing
 
@@ -209,7 +209,7 @@ def test_an_amended_value_is_not_a_step():
 
 
 def test_the_drawings_of_two_slices_share_one_undo_order():
-    model, arrow = StudyModel(), Drawing((Arrow((1, 1), (1, 0), 1.0),))
+    model, arrow = Session(), Drawing((Arrow((1, 1), (1, 0), 1.0),))
     model.select_slice("image", 0)
     model.draw(arrow, "drew an arrow")
     model.select_slice("image", 1)
@@ -225,7 +225,7 @@ def test_the_drawings_of_two_slices_share_one_undo_order():
 
 
 def test_the_drawing_of_a_removed_image_is_empty_and_can_be_started_again():
-    model = StudyModel()
+    model = Session()
     model.select_slice("gone")
     model.begin_drawing("drew")
     model.update_drawing(Drawing((Arrow((1, 1), (1, 0), 1.0),)))

@@ -193,10 +193,10 @@ def test_files_and_the_form_preserve_the_penalty(tmp_path, kind, penalty):
     of_solution = again.solution.provenance.parameters["prior"]
     assert prior_from_dict(of_solution) == prior.in_force(uncertain_problem())
     json.dumps(prior.parameters)
-    assert prior_of(study_model(kind), details_of(prior, study.optimizer), poisson=0.3) == prior
+    assert prior_of(session(kind), details_of(prior, study.optimizer), poisson=0.3) == prior
 
 
-def study_model(kind):
+def session(kind):
     return "elastic" if kind is ElasticPrior else "large motion"
 
 

@@ -22,9 +22,9 @@ def quick(dock):
 
 def forget_choice(dock):
     """Remove the choice of a model from the undo history."""
-    study_model, chosen = dock.study_model, dock.study_model.model
-    study_model.drop(lambda part: part.kind == "model")
-    study_model.choose_model(chosen, step=False)
+    session, chosen = dock.session, dock.session.model
+    session.drop(lambda part: part.kind == "model")
+    session.choose_model(chosen, step=False)
 
 
 def open_sample(viewer, layers):

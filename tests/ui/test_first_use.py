@@ -14,8 +14,6 @@ from qtpy.QtWidgets import QApplication
 from napari_hmrf import Arrow, Drawing
 from napari_hmrf.contributions import dock
 from napari_hmrf.layers.compat import text_of
-from napari_hmrf.layers.unsaved_work import UnsavedWork
-from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.ui.motion.motion_messages import EARLY, HERE
 from tests.support.docks import quick
 from tests.support.person import Person, only
@@ -355,7 +353,7 @@ def test_a_message_reports_that_the_work_on_a_removed_image_is_kept(
     image, *_ = small_sample(viewer)
     widget.drawing = Drawing((Arrow((10, 10), (1, 0), 3.0),))
     settle(widget)
-    shared(viewer, UnsavedWork).saved_files[widget.study_model.slice] = tmp_path / "kept.study"
+    widget.session.unsaved.saved_files[widget.session.slice] = tmp_path / "kept.study"
     viewer.layers.remove(image)
     settle(widget)
     assert "The work is kept" in widget.status

@@ -138,7 +138,7 @@ def test_the_tables_of_a_fit_are_not_rebuilt_by_a_drag_nor_while_the_window_is_c
     screen = FitScreen(dock)
     built = []
     screen.table.model().dataChanged.connect(lambda *_: built.append(1))
-    model = dock.study_model
+    model = dock.session
     model.draw(Drawing((Arrow((30, 30), (0, 1), 3.0),)), "pulled tissue")
     assert not built
     dock.materials = materials(0.1)

@@ -13,7 +13,7 @@ from napari_hmrf.samples.phantoms import phantom
 from napari_hmrf.solver.model_names import converged
 from napari_hmrf.study.ground import build_problem
 from napari_hmrf.study.models import SolverDetails
-from napari_hmrf.study.study_model import ModelChoice
+from napari_hmrf.study.session import ModelChoice
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.material_presets import PRESETS
 from napari_hmrf.ui.messages import MODELS
@@ -33,7 +33,7 @@ def elastic(widget):
 
 def solved(widget):
     """Return the chosen prior and optimizer."""
-    chosen = widget.study_model.model
+    chosen = widget.session.model
     return chosen.prior, chosen.optimizer
 
 

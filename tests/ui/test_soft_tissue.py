@@ -479,7 +479,7 @@ def test_settings_determine_prior_and_optimizer(widget):
         penalty=500.0,
         sweeps=12,
     )
-    chosen = widget.study_model.model
+    chosen = widget.session.model
     assert chosen.prior == SeilerPrior(penalty=500, conditional="blanket")
     assert chosen.optimizer == ICM(12, steps=None, energy_change=1e-3)
     assert widget.device == "cpu"
@@ -487,7 +487,7 @@ def test_settings_determine_prior_and_optimizer(widget):
     assert "Borders of stiff and soft tissue hardly move" in form["reading"].tooltip
     for words in ("candidate steps", "never early", "OpenGL, fragment"):
         Screen(widget).choose(words)
-    assert widget.study_model.model.optimizer == ICM(12)
+    assert widget.session.model.optimizer == ICM(12)
     assert widget.device == "opengl:fragment"
 
 
@@ -497,10 +497,10 @@ def test_every_device_is_offered(widget):
 
 def test_the_default_settings_are_elastic_and_one_click_selects_the_paper_model(frame):
     widget = frame.open()
-    chosen = widget.study_model.model
+    chosen = widget.session.model
     assert (chosen.prior, chosen.optimizer) == (ElasticPrior(), Multigrid())
     Screen(widget).choose(MODELS["paper"])
-    chosen = widget.study_model.model
+    chosen = widget.session.model
     assert (chosen.prior, chosen.optimizer) == (SeilerPrior(), ICM())
     assert widget.device == "auto"
 

@@ -65,7 +65,7 @@ def test_a_pull_in_a_slice_moves_neighbouring_slices(volume_beside, settle, qtbo
     assert preview.image.shape == SHAPE[1:]
     picture = by_name(person.viewer, "MR deformed, elastic")
     still = by_name(person.viewer, "MR").data
-    assert widget.study_model.drawing_in_progress
+    assert widget.session.drawing_in_progress
     qtbot.waitUntil(lambda: (picture.data[12] != still[12]).mean() > 0.02, timeout=LONG_MS)
     assert np.array_equal(picture.data[5], still[5]), "a hidden slice was updated during the drag"
     person.move(19, 20)

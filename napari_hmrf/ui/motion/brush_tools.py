@@ -84,9 +84,9 @@ class BrushTool(Tool):
 
     def _begin(self, point: Point, settings: ToolSettings) -> None:
         """Begin a drag at a visible point inside the image."""
-        at, drawing = self._place(point), self._model.drawing
+        at, drawing = self._place(point), self._session.drawing
         new, stroke = self._new_stroke(at, point, settings), self._stroke_at(at)
-        self._model.begin_drawing(self.step)
+        self._session.begin_drawing(self.step)
         if stroke is not None and self._continues(new, stroke):
             self._replace(stroke.again(at))
         else:
@@ -220,7 +220,7 @@ class PushTool(BrushTool):
             super()._begin(point, settings)
         else:
             self._grip = point, stroke.by
-            self._model.begin_drawing("pushed painted tissue")
+            self._session.begin_drawing("pushed painted tissue")
 
     def move(self, point: Point) -> None:
         """Continue pushing or painting; do nothing if no drag is in progress."""
@@ -347,7 +347,7 @@ class GrowTool(BrushTool):
 
         A new patch keeps the tissue where it is: at the point where it is visible.
         """
-        drawing = self._model.drawing
+        drawing = self._session.drawing
         number = patch_at(drawing, at, self._spacing)
         try:
             if number is None:
@@ -361,7 +361,7 @@ class GrowTool(BrushTool):
                 raise ToolError(motion_messages.TOO_SMALL)
         except ProblemError as error:
             raise ToolError(motion_messages.NO_INSIDE) from error
-        self._model.begin_drawing("grew tissue with the wheel")
+        self._session.begin_drawing("grew tissue with the wheel")
         self._is_turning = True
         self._show(drawing, number)
         return drawing.marks[number]

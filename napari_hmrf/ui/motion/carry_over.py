@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 from magicgui.widgets import Container, PushButton
 
-from napari_hmrf.study.study_model import Part, StudyModel
+from napari_hmrf.study.session import Part, Session
 from napari_hmrf.tissue.drawing import Drawing, Mark
 from napari_hmrf.tissue.drawing.extents import SliceInVolume
 from napari_hmrf.ui.forms import Prose, row
@@ -47,7 +47,7 @@ class CarryOver:
     Parameters
     ----------
     form : CarryOverForm
-    model : StudyModel
+    session : Session
     draw : callable
         Replaces the drawing, given a `Drawing` and the name of the undo step.
     show_message : callable
@@ -57,26 +57,31 @@ class CarryOver:
     def __init__(
         self,
         form: CarryOverForm,
-        model: StudyModel,
+        session: Session,
         draw: Callable[[Drawing, str], None],
         show_message: Callable[[str], None],
     ) -> None:
-        self._form, self._model, self._draw, self._show_message = form, model, draw, show_message
-        self._slice = model.slice
+        self._form, self._session, self._draw, self._show_message = (
+            form,
+            session,
+            draw,
+            show_message,
+        )
+        self._slice = session.slice
         self._marks: tuple[Mark, ...] = ()
         form.carry.changed.connect(lambda _: self._on_carry())
         form.keep.changed.connect(lambda _: self._on_keep())
 
     def refresh(self, *_: object) -> None:
         """Ask about the marks of the previous slice or volume, if the extent has changed."""
-        before, self._slice = self._slice, self._model.slice
+        before, self._slice = self._slice, self._session.slice
         if self._slice == before:
             return
         self._close()
-        marks = self._model.get(before, Drawing()).marks
+        marks = self._session.get(before, Drawing()).marks
         if not (marks and _is_other_extent(before, self._slice)):
             return
-        present = self._model.drawing.marks
+        present = self._session.drawing.marks
         copies = _copies(marks, before, self._slice)
         self._marks = tuple(mark for mark in copies if mark is not None and mark not in present)
         if self._marks:
@@ -91,9 +96,9 @@ class CarryOver:
     def _on_carry(self) -> None:
         marks, to = self._marks, self._slice
         self._close()
-        if marks and to == self._model.slice:
+        if marks and to == self._session.slice:
             words = f"carried over {_count(len(marks)).lower()}"
-            self._draw(Drawing((*marks, *self._model.drawing.marks)), words)
+            self._draw(Drawing((*marks, *self._session.drawing.marks)), words)
             self._show_message(f"C{words[1:]}. Press Undo to remove the copies.")
 
     def _on_keep(self) -> None:

@@ -23,8 +23,8 @@ from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_layers import shared, still_there
 from napari_hmrf.layers.volume_look import VolumeLook
 from napari_hmrf.study.engine import Deformation
+from napari_hmrf.study.session import Session
 from napari_hmrf.study.study import Study
-from napari_hmrf.study.study_model import StudyModel
 from napari_hmrf.tissue.drawing import Drawing, Stroke
 from napari_hmrf.tissue.drawing.canvas import box_of, covered
 from napari_hmrf.tissue.drawing.marks import Point
@@ -46,8 +46,8 @@ class Display:
     native : QWidget
         The dock.
     viewer : napari.Viewer or ViewerModel
-    model : StudyModel
-        Model with the selected slice and its drawing.
+    session : Session
+        Session with the selected slice and its drawing.
     listener : CanvasListener
         Receiver of the mouse and key events.
 
@@ -63,7 +63,7 @@ class Display:
     """
 
     def __init__(
-        self, native: Any, viewer: Any, model: StudyModel, listener: CanvasListener
+        self, native: Any, viewer: Any, session: Session, listener: CanvasListener
     ) -> None:
         self.arrows = ArrowsLayer(viewer, listener)
         self.state: ShownDeformation | None = None
@@ -72,7 +72,7 @@ class Display:
         self._stroke: Stroke | None = None
         self._shows_confidence = False
         self.tissues: dict[int, Any] = {}
-        self._viewer, self._model = viewer, model
+        self._viewer, self._session = viewer, session
         self._results = shared(viewer, ResultLayers)
         # Displayed image, and whether it is a private copy with newer slices.
         self._whole: Any = None
@@ -99,7 +99,7 @@ class Display:
     @property
     def _source(self) -> Any:
         """Layer that is deformed, or None."""
-        return self._model.slice.layer
+        return self._session.slice.layer
 
     def close_slice(self) -> None:
         """Remove what is shown of the selected slice, except a result."""
@@ -119,7 +119,7 @@ class Display:
         place, self._whole = study.grid.known_place, study.pictures.image
         self.state = ShownDeformation(Deformation(study, image=study.pictures.image))
         with self.program_changes():
-            self.arrows.place(place, study.grid.shape, bool(self._model.drawing.marks))
+            self.arrows.place(place, study.grid.shape, bool(self._session.drawing.marks))
             self._results.show_extent(self._source, place)
 
     @property

@@ -14,8 +14,8 @@ from qtpy.QtGui import QIcon
 from qtpy.QtWidgets import QGridLayout, QSizePolicy, QToolButton
 
 from napari_hmrf.layers.slice_view import View
+from napari_hmrf.study.session import ImageChoice
 from napari_hmrf.study.study import SWITCHES
-from napari_hmrf.study.study_model import ImageChoice
 from napari_hmrf.ui.forms import row
 from napari_hmrf.ui.motion.cavity_form import CavityForm
 from napari_hmrf.ui.motion.tool import Tool

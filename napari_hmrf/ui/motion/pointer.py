@@ -61,7 +61,7 @@ class Pointer:
     fields : ToolFields
         Settings of the tools.
     undo : ViewerUndo
-        Undo commands of the viewer, with the `StudyModel` that contains the edited drawings.
+        Undo commands of the viewer, with the `Session` that contains the edited drawings.
 
     Attributes
     ----------
@@ -88,9 +88,9 @@ class Pointer:
     action_started = Signal()
 
     def __init__(self, native: Any, viewer: Any, fields: ToolFields, undo: ViewerUndo) -> None:
-        self._fields, self._undo, self._model = fields, undo, undo.model
-        self._model.select_slice(None)
-        self.display = Display(native, viewer, undo.model, self)
+        self._fields, self._undo, self._session = fields, undo, undo.session
+        self._session.select_slice(None)
+        self.display = Display(native, viewer, undo.session, self)
         self.tool = self._create_tool(BY_NAME["pull"])
         self._show_cursor()
         # Text overlay in a corner of the canvas, and the text last written there by this object.
@@ -110,7 +110,7 @@ class Pointer:
         # True once the user has pressed the mouse button on the image.
         self._is_used = False
         undo.message.connect(self._on_step)
-        self._model.changed.connect(self._on_drawn)
+        self._session.changed.connect(self._on_drawn)
         fields.changed.connect(self._on_field)
 
     # State
@@ -118,7 +118,7 @@ class Pointer:
     @property
     def drawing(self) -> Drawing:
         """Drawing of the visible slice."""
-        return self._model.drawing
+        return self._session.drawing
 
     @property
     def active(self) -> bool:
@@ -153,7 +153,7 @@ class Pointer:
         self._early_drags.clear()
         self.display.close_slice()
         place = None if study is None else SlicePlace.of(study.grid.known_place)
-        self._model.select_slice(None if study is None else image, place)
+        self._session.select_slice(None if study is None else image, place)
         if study is not None:
             self.display.open_slice(study)
         self.tool = self._create_tool(type(self.tool))
@@ -220,8 +220,8 @@ class Pointer:
     def set_drawing(self, drawing: Drawing, word: str) -> None:
         """Replace the drawing as an undo step named `word`, or without a step if `word` is ""."""
         self.release()
-        if self._model.slice.layer is not None:  # else there is nothing to draw on
-            self._model.draw(drawing, word)
+        if self._session.slice.layer is not None:  # else there is nothing to draw on
+            self._session.draw(drawing, word)
 
     def clear(self) -> None:
         """Remove all marks of the drawing."""
@@ -268,7 +268,7 @@ class Pointer:
         self.display.arrows.end_drag()
         self.display.release()
         self._undo.message.disconnect(self._on_step)
-        self._model.changed.disconnect(self._on_drawn)
+        self._session.changed.disconnect(self._on_drawn)
 
     # Mouse and key actions on the canvas
 
@@ -487,9 +487,9 @@ class Pointer:
         """Create a tool for the visible slice, without a selection."""
         moved = self.display.moved
         if moved is None:
-            return kind(self._model)
+            return kind(self._session)
         grid = moved.study.grid
-        return kind(self._model, grid.spacing, grid.shape)
+        return kind(self._session, grid.spacing, grid.shape)
 
     def _show_settings(self) -> None:
         """Show the settings of the selected mark in the fields."""
@@ -511,7 +511,7 @@ class Pointer:
         self.display.draw(self.drawing, self.tool.selected, self.tool.is_dragging)
 
     def _on_drawn(self, part: Hashable) -> None:
-        if part != self._model.slice:
+        if part != self._session.slice:
             return
         self.drawn.emit()
         if not self.tool.is_dragging:
@@ -521,7 +521,7 @@ class Pointer:
 
     def _on_step(self, _: str, step: Step | None) -> None:
         """Select the mark that undo or redo changed, if the current tool makes such marks."""
-        if step is None or step.part != self._model.slice:
+        if step is None or step.part != self._session.slice:
             return
         marks = self.drawing.marks
         new = [number for number, mark in enumerate(marks) if mark not in step.value.marks]

@@ -75,7 +75,7 @@ class PullTool(Tool):
         Until it is dragged, it holds each pixel of its patch at its present displacement.
         """
         self.release()
-        drawing, at = self._model.drawing, origin(point)
+        drawing, at = self._session.drawing, origin(point)
         hit = drawing.at(point, reach, self._spacing)
         if hit is not None:
             word = f"moved {name_of(drawing.marks[hit.number])}"
@@ -94,7 +94,7 @@ class PullTool(Tool):
         end = head if hit.part == "head" else base
         self._offset = tuple(x - y for x, y in zip(point, end, strict=True))
         self._part, self._at = hit.part, point
-        self._model.begin_drawing(word)
+        self._session.begin_drawing(word)
         self._show(drawing, hit.number)
         self._pressed = self.mark
         return ""
@@ -119,7 +119,7 @@ class PullTool(Tool):
     def _end(self) -> bool:
         """End the drag, and return whether a click has drawn a mark that holds tissue in place."""
         is_click = self.is_dragging and self.mark == self._pressed
-        is_new = bool(self._model.end_drawing(self._click_step if is_click else ""))
+        is_new = bool(self._session.end_drawing(self._click_step if is_click else ""))
         return is_click and is_new
 
     def _held(self, mark: Arrow | Landmark) -> Arrow | Landmark:
@@ -128,7 +128,7 @@ class PullTool(Tool):
 
     def _grown_patch(self, at: Point, settings: ToolSettings) -> int | None:
         """Find the round patch whose growth a new mark at an undeformed position would hide."""
-        drawing = self._model.drawing
+        drawing = self._session.drawing
         number = patch_at(drawing, at, self._spacing)
         mark = None if number is None else drawing.marks[number]
         if not isinstance(mark, Stroke) or not grows(mark) or mark.lines != ((mark.lines[0][0],),):

@@ -9,7 +9,7 @@ from typing import ClassVar, TypedDict, cast
 import numpy as np
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.study.study_model import StudyModel
+from napari_hmrf.study.session import Session
 from napari_hmrf.tissue.drawing import Drawing, Mark, Stroke
 from napari_hmrf.tissue.drawing.canvas import box_of, is_empty
 from napari_hmrf.tissue.drawing.marks import Components, Point
@@ -54,8 +54,8 @@ class Tool(ABC):
 
     Parameters
     ----------
-    model : StudyModel
-        Model with the drawing of the selected slice.
+    session : Session
+        Session with the drawing of the selected slice.
     spacing : sequence of float, shape (n,)
         Size of a pixel along each axis.
     shape : tuple of int
@@ -94,11 +94,11 @@ class Tool(ABC):
 
     def __init__(
         self,
-        model: StudyModel,
+        session: Session,
         spacing: Sequence[float] = (1.0, 1.0),
         shape: tuple[int, ...] = (1, 1),
     ) -> None:
-        self._model = model
+        self._session = session
         self._spacing = tuple(map(float, spacing))
         self._shape = shape
         self._selected: int | None = None
@@ -154,7 +154,7 @@ class Tool(ABC):
         ToolError
             If the mark is invalid; the drawing is then unchanged.
         """
-        self._model.end_drawing()
+        self._session.end_drawing()
         return None
 
     def turn_wheel(
@@ -180,14 +180,14 @@ class Tool(ABC):
         """Cancel the drag and restore the drawing; return whether there was a drag."""
         was_dragging, number = self.is_dragging, self._selected
         if was_dragging:
-            self._model.cancel_drawing()
-            self.select(number if number in range(len(self._model.drawing.marks)) else None)
+            self._session.cancel_drawing()
+            self.select(number if number in range(len(self._session.drawing.marks)) else None)
         return was_dragging
 
     @property
     def is_dragging(self) -> bool:
         """True while a drag is in progress."""
-        return self._model.drawing_in_progress
+        return self._session.drawing_in_progress
 
     @property
     def follows_surface(self) -> bool:
@@ -222,7 +222,7 @@ class Tool(ABC):
     @property
     def selected(self) -> int | None:
         """Index of the mark made or selected last; None after another edit of the drawing."""
-        if self._model.drawing is not self._numbered:
+        if self._session.drawing is not self._numbered:
             self._selected = None
         return self._selected
 
@@ -230,7 +230,7 @@ class Tool(ABC):
     def mark(self) -> Mark | None:
         """Selected mark, or None."""
         number = self.selected
-        return None if number is None else self._model.drawing.marks[number]
+        return None if number is None else self._session.drawing.marks[number]
 
     @property
     def mark_settings(self) -> ToolSettings | None:
@@ -245,7 +245,7 @@ class Tool(ABC):
 
     def select(self, number: int | None) -> None:
         """Select a mark to change or remove; None clears the selection."""
-        self._numbered, self._selected = self._model.drawing, number
+        self._numbered, self._selected = self._session.drawing, number
 
     def pick(self, number: int | None) -> None:
         """Select the mark that the user clicked on the canvas; None clears the selection."""
@@ -257,7 +257,7 @@ class Tool(ABC):
         if mark is None or number is None:
             return False
         self.select(None)
-        self._model.draw(self._model.drawing.without(number), f"removed {name_of(mark)}")
+        self._session.draw(self._session.drawing.without(number), f"removed {name_of(mark)}")
         return True
 
     def change(self, settings: ToolSettings) -> None:
@@ -266,9 +266,9 @@ class Tool(ABC):
         if number is None or changed is None or self.is_dragging:
             return
         if changed != mark:
-            drawing = self._model.drawing.replaced(number, changed)
+            drawing = self._session.drawing.replaced(number, changed)
             self._numbered = drawing  # set before callbacks read the selection
-            self._model.draw(drawing, f"changed {name_of(changed)}")
+            self._session.draw(drawing, f"changed {name_of(changed)}")
 
     @abstractmethod
     def _changed(self, settings: ToolSettings) -> Mark | None:
@@ -284,14 +284,14 @@ class Tool(ABC):
     def _show(self, drawing: Drawing, number: int) -> None:
         """Show the drawing with the mark that is being dragged, and select this mark."""
         self._numbered, self._selected = drawing, number
-        self._model.update_drawing(drawing)
-        # The model keeps its own object if the drawing is equal.
-        self._numbered = self._model.drawing
+        self._session.update_drawing(drawing)
+        # The session keeps its own object if the drawing is equal.
+        self._numbered = self._session.drawing
 
     def _replace(self, mark: Mark) -> None:
         """Replace the mark that is being dragged."""
         if self._selected is not None:
-            self._show(self._model.drawing.replaced(self._selected, mark), self._selected)
+            self._show(self._session.drawing.replaced(self._selected, mark), self._selected)
 
 
 def name_of(mark: Mark) -> str:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from napari_hmrf import ArgumentError, ElasticPrior, Problem, ProblemError, solve
 from napari_hmrf.field.strain import count_folds
 from napari_hmrf.solver.optimizers import Multigrid
-from napari_hmrf.study.study_model import StudyModel
+from napari_hmrf.study.session import Session
 from napari_hmrf.tissue.drawing import (
     Arrow,
     Canvas,
@@ -292,7 +292,7 @@ def test_an_updated_rendering_equals_a_new_rendering(begin, sequence):
 @settings(max_examples=20)
 def test_undo_and_redo_restore_the_drawing_exactly(sequence):
     """Compare with two lists of drawings, in which a drag is one step."""
-    base, model = canvas(), StudyModel()
+    base, model = canvas(), Session()
     said = []
     model.changed.connect(lambda _, value: said.append(value))
     past, now, future = [], Drawing(), []
@@ -342,7 +342,7 @@ def test_undo_and_redo_restore_the_drawing_exactly(sequence):
 
 
 def test_steps_have_descriptions_and_unchanged_drawings_add_no_step():
-    arrow, model = Arrow((1, 1), (1, 0), 1), StudyModel()
+    arrow, model = Arrow((1, 1), (1, 0), 1), Session()
     model.draw(Drawing((arrow,)), "drew an arrow")
     model.draw(Drawing((arrow,)), "did nothing")
     model.begin_drawing("moved an arrow")
@@ -360,7 +360,7 @@ def test_steps_have_descriptions_and_unchanged_drawings_add_no_step():
 
 
 def test_history_drops_the_oldest_steps():
-    model = StudyModel(3)
+    model = Session(3)
     for number in range(1, 6):
         model.draw(Drawing((Arrow((number, 0), (1, 0), 1),)), f"step {number}")
     assert [model.undo().word for _ in range(3)] == ["step 5", "step 4", "step 3"]

@@ -7,7 +7,7 @@ import pytest
 from napari.layers import Labels
 
 from napari_hmrf.layers.paint_layer import COLOURS, number_of, painted_colours
-from napari_hmrf.study.study_model import StudyModel
+from napari_hmrf.study.session import Session
 from napari_hmrf.tissue.drawing import Arrow, Canvas, Drawing, Landmark, Rendering, Stroke
 from napari_hmrf.tissue.drawing.marks import Action
 from napari_hmrf.ui.motion.motion_messages import NO_STEP, NO_WAY, NOTHING, OPEN, OUTSIDE
@@ -31,7 +31,7 @@ def grip(radius, confidence=1.0):
 
 @pytest.fixture
 def model():
-    return StudyModel()
+    return Session()
 
 
 @pytest.fixture

@@ -35,7 +35,7 @@ def test_tissue_follows_the_mouse_on_the_canvas_and_space_moves_the_view(pulling
     for step in range(1, 5):
         person.move(30 + step, 30 + 2 * step)
         qtbot.waitUntil(lambda step=step: len(seen) >= step, timeout=LONG_MS)
-    assert widget.study_model.drawing_in_progress, "the drag ended before the button was released"
+    assert widget.session.drawing_in_progress, "the drag ended before the button was released"
     moved = by_name(person.viewer, "MR deformed, elastic").data
     assert (moved != still).mean() > 0.05
     person.release(34, 38)
@@ -53,7 +53,7 @@ def test_tissue_follows_the_mouse_on_the_canvas_and_space_moves_the_view(pulling
     layer = person.viewer.layers.selection.active
     assert layer.name == "Motion"
     assert by_name(person.viewer, "MR arrows, elastic").metadata[METADATA]["solution"] is not None
-    assert widget.study_model.next_undo.word == "pulled tissue"
+    assert widget.session.next_undo.word == "pulled tissue"
     assert not layer.mouse_pan
     QTest.keyPress(person.canvas, Qt.Key.Key_Space)
     assert layer.mouse_pan
@@ -152,7 +152,7 @@ def test_a_drag_on_moved_tissue_pulls_the_displayed_tissue(pulling_beside, settl
     held = widget.drawing.marks[1]
     assert held.at[0] < 39.5, "the arrow does not start at the origin of the tissue, further up"
     assert np.add(held.at, held.by) == pytest.approx((40, 44), abs=0.6)
-    assert widget.study_model.next_undo.word == "held tissue"
+    assert widget.session.next_undo.word == "held tissue"
 
 
 def test_a_click_beside_the_fixed_edge_moves_no_tissue(pulling_beside, settle):
@@ -196,7 +196,7 @@ def test_escape_cancels_a_drag(pulling_beside):
     person.key(Qt.Key.Key_Escape)
     person.move(40, 40)
     person.release(40, 40)
-    assert (widget.drawing, widget.study_model.next_undo) == (Drawing(), None)
+    assert (widget.drawing, widget.session.next_undo) == (Drawing(), None)
     assert widget.status == "Cancelled; the drawing is unchanged."
 
 
@@ -253,7 +253,7 @@ def test_the_motion_layer_removed_during_a_drag_is_restored(pulling_beside, sett
     person.move(40, 40)
     person.release(40, 40)
     assert only(widget).by == pytest.approx((4, 4), abs=0.6)
-    assert not widget.study_model.drawing_in_progress
+    assert not widget.session.drawing_in_progress
     assert not widget.active
     assert "was deleted" in widget.status
     settle(widget)

@@ -116,7 +116,7 @@ def test_pinned_tissue_does_not_move(brushing_beside, settle):
     assert displacement(widget)[20, 22:35] == pytest.approx(0, abs=0.02)
     assert displayed_paint(person)[20, 28] == number_of("pin")
     assert displayed_paint(person)[26, 28] == 0
-    assert widget.study_model.next_undo.word == "held tissue"
+    assert widget.session.next_undo.word == "held tissue"
 
 
 def test_freed_tissue_is_unconstrained(brushing_beside, settle):
@@ -271,7 +271,7 @@ def test_an_unfinished_ring_is_removed_by_delete(pulling_beside, settle):
     person.release(44, 30)
     settle(widget)
     assert not widget.drawing.marks
-    assert not widget.study_model.drawing_in_progress
+    assert not widget.session.drawing_in_progress
     assert not displayed_paint(person).any()
 
 
@@ -520,7 +520,7 @@ def test_tissue_is_painted_with_presets_if_there_is_no_table(brushing_beside, se
     after = displacement(widget)
     assert after[44, 14, 1] < 0.8 * before, "the gap transmits motion"
     assert not after[44, 22].any()
-    assert widget.study_model.next_undo.word == "painted tissue"
+    assert widget.session.next_undo.word == "painted tissue"
 
 
 def test_tissue_is_painted_with_the_table_of_its_layer(open_beside, settle):
@@ -728,7 +728,7 @@ def test_turns_of_the_wheel_during_a_long_repaint_are_one_undo_step(
     pending = single_shot(None, 0, lambda: person.turn_wheel(32, 32))
     person.turn_wheel(32, 32)
     pending.start()
-    wait_for(lambda: not (pending.isActive() or widget.study_model.drawing_in_progress))
+    wait_for(lambda: not (pending.isActive() or widget.session.drawing_in_progress))
     assert only(widget).amount > 0
     widget.undo()
     assert not widget.drawing.marks
@@ -828,13 +828,13 @@ def test_the_wheel_changes_nothing_where_a_pull_would_be_lost(pulling_beside, se
     for pull, reason in cases:
         widget.drawing = before = Drawing((pull,))
         settle(widget)
-        step = widget.study_model.next_undo
+        step = widget.session.next_undo
         person.key(EXPAND)
         widget.fields.radius.value = 6.0
         for _ in range(2):
             person.turn_wheel(32, 32)
         assert reason in widget.status
-        assert (widget.drawing, widget.study_model.next_undo) == (before, step), reason
+        assert (widget.drawing, widget.session.next_undo) == (before, step), reason
 
 
 def test_the_wheel_zooms_unless_grow_is_active_over_tissue(open_beside, settle):
@@ -923,7 +923,7 @@ def test_a_registered_tool_receives_mouse_and_keys_and_shows_its_fields(
     assert widget.status == "Noted."
     person.key(Qt.Key.Key_Escape)
     person.release(20, 24)
-    assert (widget.drawing, widget.study_model.next_undo) == (before, None)
+    assert (widget.drawing, widget.session.next_undo) == (before, None)
     person.key(Qt.Key.Key_G)
     assert layer.cursor == "circle"
 
@@ -1006,7 +1006,7 @@ def test_removing_the_motion_layer_ends_a_stroke(brushing_beside, at_rest):
     person.move(20, 30)
     person.release(20, 30)
     at_rest()
-    assert not widget.study_model.drawing_in_progress
+    assert not widget.session.drawing_in_progress
     assert widget.status.startswith("The layer 'Motion' was deleted")
     assert not text_of(person.viewer).visible
 

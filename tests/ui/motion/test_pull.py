@@ -17,7 +17,7 @@ from napari_hmrf.layers.pixel_copy import LayerCopies
 from napari_hmrf.layers.read import Request, study_from_layers
 from napari_hmrf.layers.slice_view import frame_of
 from napari_hmrf.study.ground import Ground
-from napari_hmrf.study.study_model import StudyModel
+from napari_hmrf.study.session import Session
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Rendering, Stroke
 from napari_hmrf.tissue.usual_lengths import usual_radius
@@ -31,7 +31,7 @@ GRIP = {"radius": 3.0, "confidence": 1.0, "components": "both"}
 
 @pytest.fixture
 def model():
-    return StudyModel()
+    return Session()
 
 
 @pytest.fixture

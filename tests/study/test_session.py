@@ -1,4 +1,4 @@
-"""User actions on a `StudyModel`, with and without a window."""
+"""User actions on a `Session`, with and without a window."""
 
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ from napari_hmrf.layers.read import Request, study_from_layers, study_layers
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_undo import undo_of
 from napari_hmrf.study.models import SolverDetails
-from napari_hmrf.study.study_model import ImageChoice, ModelChoice, Part, StudyModel
+from napari_hmrf.study.session import ImageChoice, ModelChoice, Part, Session
 from napari_hmrf.tissue.material_presets import PLAIN
 from napari_hmrf.tissue.row_table import RowTable
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
@@ -48,7 +48,7 @@ def study_of(model):
 
 def edited_model(layers):
     """Return a model after seven edits: choices, tables, a drawing and model settings."""
-    model = StudyModel()
+    model = Session()
     model.select(layers["image"])
     model.choose(step=False, hold_edge=False)
     model.choose(tissue=layers["tissue"])
@@ -75,7 +75,7 @@ def test_every_user_action_works_on_the_model_without_a_window(layers, tmp_path)
     np.testing.assert_allclose(solution.displacement[12, 15], (0, 2), atol=1e-3)
     assert np.abs(solution.displacement[0]).max() == 0
     assert (study.tissue.materials, study.prior.plane) == ((SOFT, STIFF), "strain")
-    again = StudyModel()
+    again = Session()
     saved = read_study(write_study(tmp_path / "brain.study", study)).study
     made = study_layers(saved)
     again.restore(saved, made)
@@ -123,7 +123,7 @@ def test_reset_restores_drawing_and_settings_and_keeps_layers_as_one_step(layers
 
 
 def test_the_tissues_to_paint_with_are_undone_reset_and_saved(layers, tmp_path):
-    model = StudyModel()
+    model = Session()
     model.select(layers["image"])
     model.choose(step=False, hold_edge=True)
     model.choose(preset=PLAIN)
@@ -138,7 +138,7 @@ def test_the_tissues_to_paint_with_are_undone_reset_and_saved(layers, tmp_path):
 
 
 def test_a_solver_setting_is_not_an_undo_step(layers):
-    model = StudyModel()
+    model = Session()
     model.choose_model(ModelChoice())
     model.choose_model(ModelChoice(details=SolverDetails(accuracy=1e-2)))
     assert model.next_undo is None
@@ -146,7 +146,7 @@ def test_a_solver_setting_is_not_an_undo_step(layers):
 
 
 def test_undo_keeps_later_choices_that_are_not_steps(layers):
-    model = StudyModel()
+    model = Session()
     model.select(layers["image"])
     model.choose(hold_edge=False)
     model.choose(step=False, tissue=layers["tissue"])
@@ -162,7 +162,7 @@ def test_undo_keeps_later_choices_that_are_not_steps(layers):
 
 
 def test_choices_apply_to_one_image_only(layers):
-    model, other = StudyModel(), Image(np.zeros(SHAPE), name="other")
+    model, other = Session(), Image(np.zeros(SHAPE), name="other")
     model.select(layers["image"])
     model.choose(tissue=layers["tissue"], weight=(1.0, 0.0))
     model.select(other)
@@ -173,7 +173,7 @@ def test_choices_apply_to_one_image_only(layers):
 
 
 def test_the_window_and_the_model_update_each_other(dock, layers, at_rest):
-    model = dock.study_model
+    model = dock.session
     model.choose(tissue=layers["tissue"], boundary=layers["boundary"], hold_edge=False)
     model.set_table("tissue", layers["tissue"], RowTable((SOFT, STIFF)), "stiffened")
     model.choose_model(ModelChoice(plane="strain"))
@@ -209,7 +209,7 @@ def test_the_comparison_image_is_restored_with_its_image(dock, layers):
 
 def test_a_removed_layer_is_deselected_for_every_image(dock, layers):
     other = dock._viewer.add_image(np.zeros(SHAPE), name="other")
-    model = dock.study_model
+    model = dock.session
     dock.image = layers["image"]
     model.choose(tissue=layers["tissue"])
     dock.image = other
@@ -220,13 +220,13 @@ def test_a_removed_layer_is_deselected_for_every_image(dock, layers):
 
 def test_the_form_preserves_values_that_it_rounds_or_does_not_offer(dock):
     details = SolverDetails(accuracy=0.003)
-    dock.study_model.choose_model(ModelChoice(poisson=0.4567, details=details))
-    assert dock.study_model.model == ModelChoice(poisson=0.4567, details=details)
+    dock.session.choose_model(ModelChoice(poisson=0.4567, details=details))
+    assert dock.session.model == ModelChoice(poisson=0.4567, details=details)
     assert dock.settings.accuracy == 0.003
 
 
 def test_a_curve_is_not_in_use_before_it_is_chosen(dock, layers):
-    model = dock.study_model
+    model = dock.session
     model.choose(tissue=layers["tissue"])
     for end in (1.0, 2.0):
         model.set_curve(StiffnessCurve(((0, 1), (end, 5))), "changed the curve")
@@ -235,14 +235,14 @@ def test_a_curve_is_not_in_use_before_it_is_chosen(dock, layers):
 
 def test_an_image_of_another_viewer_cannot_be_selected(dock, layers):
     with pytest.raises(EmitLoopError, match="is not an image in this viewer"):
-        dock.study_model.select(Image(np.zeros(SHAPE), name="elsewhere"))
-    assert dock.study_model.image is dock.image
+        dock.session.select(Image(np.zeros(SHAPE), name="elsewhere"))
+    assert dock.session.image is dock.image
 
 
 def test_a_drawing_without_an_image_is_not_a_step(frame):
     dock = frame.open()
     dock.drawing = Drawing((PULL,))
-    assert dock.study_model.next_undo is None
+    assert dock.session.next_undo is None
 
 
 def test_another_stroke_after_undo_counts_as_unsaved_work(layers):
@@ -252,7 +252,7 @@ def test_another_stroke_after_undo_counts_as_unsaved_work(layers):
     undo = undo_of(viewer)
     owner = Drawing()
     undo.bind_keys(owner)
-    model, states = undo.model, set()
+    model, states = undo.session, set()
     for _ in range(2):
         layers["tissue"].events.paint(value=[])
         states.add(model.get(Part("paint", layers["tissue"])))
@@ -261,7 +261,7 @@ def test_another_stroke_after_undo_counts_as_unsaved_work(layers):
 
 
 def test_a_drag_ends_as_a_step_when_another_slice_is_selected(layers):
-    model = StudyModel()
+    model = Session()
     model.select(layers["image"])
     model.select_slice(layers["image"], "first")
     model.begin_drawing("drew an arrow")
@@ -279,7 +279,7 @@ def test_a_drag_ends_as_a_step_when_another_slice_is_selected(layers):
 def test_a_table_of_the_model_is_stored_with_its_layer(layers):
     viewer = ViewerModel()
     tissue = viewer.add_layer(layers["tissue"])
-    model = undo_of(viewer).model
+    model = undo_of(viewer).session
     model.set_table("tissue", tissue, RowTable((SOFT,)))
     model.set_table("tissue", tissue, RowTable((STIFF,), "kPa"), "changed a table")
     assert table_of(tissue, "tissue") == RowTable((STIFF,), "kPa")

@@ -1,4 +1,6 @@
-"""Model of the studies in a viewer, shared by forms, tools and the solver.
+"""Session: the studies of a viewer, with what is chosen, drawn and not saved.
+
+Forms, tools, scripts and files write to the same session, and what is shown follows from it.
 
 The parts of a study have different owners: a drawing belongs to a slice, a table of materials or
 rules to a Labels layer, and a choice of layers and the tissue model to an image. Each part is
@@ -10,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -198,7 +201,59 @@ class ModelChoice:
         return optimizer_of(self.name, self.details)
 
 
-class StudyModel(EditHistory):
+class UnsavedWork:
+    """Register of slices with unsaved edits, which are identified by their drawings.
+
+    Parameters
+    ----------
+    history : EditHistory
+        Values of the parts.
+
+    Attributes
+    ----------
+    paths : dict of Part to Path
+        Path from which each slice was opened, or to which it was saved.
+    saved_files : dict of Part to Path
+        Path of the recovery file of each slice.
+    """
+
+    def __init__(self, history: EditHistory) -> None:
+        self._history = history
+        self._before: dict[Part, dict[Part, object]] = {}
+        self.paths: dict[Part, Path] = {}
+        self.saved_files: dict[Part, Path] = {}
+
+    @property
+    def slices(self) -> tuple[Part, ...]:
+        """Slices with unsaved edits, identified by their drawings."""
+        now = {part: self._history.get(part) for part in self._history.parts}
+        return tuple(
+            here
+            for here, edited in self._before.items()
+            if here in now and any(part in now and now[part] != edited[part] for part in edited)
+        )
+
+    def note(self, here: Part, part: Part | None = None, before: object = None) -> None:
+        """Record an edit of a slice.
+
+        Parameters
+        ----------
+        here : Part
+            Drawing of the slice.
+        part : Part, optional
+            Edited part. If not given, the slice is considered unsaved even if all edits are undone.
+        before : object
+            Value of the part before the edit.
+        """
+        value = object() if part is None else before
+        self._before.setdefault(here, {}).setdefault(part or here, value)
+
+    def save(self, here: Part) -> None:
+        """Record that the edits of a slice were saved or discarded."""
+        self._before.pop(here, None)
+
+
+class Session(EditHistory):
     """Editable model of all studies of a viewer: their parts, the selected slice, and undo.
 
     Each kind of part is written by a single method, and `changed` is emitted with the `Part`.
@@ -217,6 +272,7 @@ class StudyModel(EditHistory):
         deformed.
     slice : Part
         Key of the drawing of the selected slice; its layer is the layer that is deformed.
+    unsaved : UnsavedWork
     selected : Signal(object, object)
         Emitted with the image and the previous image when another image is selected.
     """
@@ -228,6 +284,7 @@ class StudyModel(EditHistory):
         self.image: Hashable | None = None
         self.image_is_gone = False
         self.slice = Part("drawing", None)
+        self.unsaved = UnsavedWork(self)
 
     # Selection
 
