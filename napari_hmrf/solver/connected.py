@@ -177,9 +177,12 @@ def _of_cliques(problem: Problem, prior: SeilerPrior) -> tuple[Problem, _Each, _
     """Return the problem to solve, the followers of `Connected`, the cliques and the bridges."""
     tissue, spacing, bridges = problem.tissue, problem.spacing, 0
     blanket, solved = prior.conditional == "blanket", problem
-    if not blanket and (lines := followers_of(tissue)) is not None:
-        bridges = lines.bridges
-        away = lines.sites[~problem.known.reshape(-1, tissue.ndim)[lines.sites].all(axis=1)]
+    # A volume of one slice is an image, and an image of one row a line; flat indices are the same.
+    flat = np.atleast_1d(tissue.squeeze())
+    follow = np.zeros(0, np.intp)
+    if not blanket and (lines := followers_of(flat)) is not None:
+        bridges, follow = lines.bridges, lines.sites
+        away = follow[~problem.known.reshape(-1, tissue.ndim)[follow].all(axis=1)]
         m = problem.stiffness.copy()
         m.reshape(-1)[away] = 0
         m.setflags(write=False)
@@ -191,9 +194,8 @@ def _of_cliques(problem: Problem, prior: SeilerPrior) -> tuple[Problem, _Each, _
         cliques, middle = (
             in_cliques(solved.tissue, spacing, middle=only) for only in (False, True)
         )
-        joined = cliques
-        if not blanket:
-            joined = cliques & around_sites(in_elements(tissue), np.logical_or)
+        joined = cliques.copy()
+        joined.reshape(tissue.ndim, -1)[:, follow] = False
         return cliques, middle, joined, bool(joined[:, tissue].all())
 
     kind = blanket, spacing
@@ -206,12 +208,13 @@ def _of_cliques(problem: Problem, prior: SeilerPrior) -> tuple[Problem, _Each, _
 
     def find() -> tuple[_Each, _Each]:
         sure = np.ones_like(middle) if blanket else middle | known
-        elements = in_elements(tissue)
+        elements = in_elements(flat)
 
         def of(connected: Mask) -> _Each:
+            pairs = ([each.reshape(flat.shape) for each in both] for both in zip(connected, sure))
             return tuple(
-                find_followers(tissue, each, each if blanket else elements, meant)
-                for each, meant in zip(connected, sure, strict=True)
+                find_followers(flat, each, each if blanket else elements, meant)
+                for each, meant in pairs
             )
 
         # An observation that no clique and no other site takes is the displacement of its site.

@@ -227,6 +227,39 @@ def test_a_line_pixel_observed_in_one_component_follows_in_the_other():
     np.testing.assert_allclose(found[tissue], np.tile([3.0, 2.0], (tissue.sum(), 1)), atol=2e-2)
 
 
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_volume_of_one_slice_moves_as_an_image(axis):
+    tissue = np.ones((12, 12))
+    tissue[0, :4] = tissue[6, 6] = 0
+    confidence, observed = np.zeros((2, 12, 12, 2))
+    confidence[-1] = confidence[:, -1] = confidence[4:6, 3:5] = 1
+    observed[4:6, 3:5] = 1, -0.5
+
+    def moved(m, **given):
+        return solve(Problem(stiffness=m, **given), SeilerPrior(), optimizer=TIGHT, backend="cpu")
+
+    image = moved(tissue, observed=observed, confidence=confidence).displacement
+    deep = {
+        name: np.expand_dims(np.insert(values, axis, 0, axis=-1), axis)
+        for name, values in {"observed": observed, "confidence": confidence}.items()
+    }
+    volume = moved(np.expand_dims(tissue, axis), **deep).displacement
+    flat = np.delete(volume.squeeze(axis), axis, axis=-1)
+    np.testing.assert_allclose(flat, image, atol=2e-5)
+
+
+def test_the_strains_of_a_row_are_those_of_a_bar():
+    stiffness = np.ones((1, 16))
+    stiffness[:, 8:] = 5
+    confidence, observed = np.zeros((2, 1, 16, 2))
+    confidence[:, [0, -1]] = 1
+    observed[:, -1, 1] = 1
+    problem = Problem(observed=observed, confidence=confidence, stiffness=stiffness)
+    found = solve(problem, SeilerPrior(), optimizer=TIGHT, backend="cpu").displacement[0, :, 1]
+    soft, stiff = np.diff(found)[[3, -4]]
+    assert soft / stiff == pytest.approx(40 / 7, rel=1e-3)  # 5.71: see docs/method.md
+
+
 def test_a_pixel_between_doubtful_observations_in_no_clique_follows_them():
     tissue = np.zeros((6, 4))
     tissue[:2, 1:3] = tissue[2:4, 2] = 1

@@ -322,12 +322,11 @@ class _Refinement:
             done = part_done(self._first, estimate, self.within)
         self._report(Monitor(f"cycle {self.cycles}, {message}", done))
         if self.cycles - self._begun > self._max_iterations:
-            self.fail()
+            self.fail("Raise max_iterations, or reduce")
 
-    def fail(self) -> None:
+    def fail(self, remedy: str = "Reduce") -> None:
         """Raise an error, because the error bound of the field exceeds the tolerance."""
         raise ConvergenceError(
             f"the error bound of the field is still above {self._tolerance:g} px after "
-            f"{self.cycles} cycles. Raise max_iterations, or reduce the ratio of the stiffest to "
-            "the softest tissue"
+            f"{self.cycles} cycles. {remedy} the ratio of the stiffest to the softest tissue"
         )
