@@ -331,7 +331,7 @@ class Result:
         self.hide_paint()
 
     def hide_paint(self) -> None:
-        """Hide painted layers, which do not move, while the deformed image is visible."""
+        """Hide painted layers, which do not move, if the deformed image is visible."""
         hidden = self._layers.hide_still_paint()
         if hidden:
             self._paint_hidden(hidden)
@@ -557,7 +557,7 @@ class ResultLayers:
                 result.show_before(before)
 
     def hide_paint(self) -> None:
-        """Hide painted layers, which do not move, while a deformed image is visible."""
+        """Hide painted layers, which do not move, if a deformed image is visible."""
         if self._results:
             self._results[0].hide_paint()
 

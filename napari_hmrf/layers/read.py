@@ -442,7 +442,7 @@ class StudyReader:
         Raises
         ------
         NoImageError
-            If neither an image nor tissue labels are chosen.
+            If neither an image nor tissue labels are chosen, or if the image of the labels is gone.
         """
         self._settle()
         session = self._session

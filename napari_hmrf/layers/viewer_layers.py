@@ -53,8 +53,8 @@ class ViewerLayers:
     def __init__(self, viewer: Any) -> None:
         self.viewer = weakref.proxy(viewer)
         self._states: weakref.WeakKeyDictionary[Any, _Visibility] = weakref.WeakKeyDictionary()
-        # Layers that each owner hides.
-        self._hidden: weakref.WeakKeyDictionary[Any, weakref.WeakSet[Any]] = (
+        # Layers that each owner hides, as an ordered set.
+        self._hidden: weakref.WeakKeyDictionary[Any, weakref.WeakKeyDictionary[Any, None]] = (
             weakref.WeakKeyDictionary()
         )
 
@@ -72,16 +72,16 @@ class ViewerLayers:
 
     def hide_while(self, owner: object, layers: Iterable[Any]) -> None:
         """Hide layers on behalf of an owner, and no longer those that it has hidden before."""
-        before, now = self._hidden.get(owner, ()), weakref.WeakSet(layers)
+        before, now = self._hidden.get(owner, ()), weakref.WeakKeyDictionary(dict.fromkeys(layers))
         self._hidden[owner] = now
-        for layer in {*before, *now}:
+        for layer in dict.fromkeys((*before, *now)):
             self._write(layer)
 
     def hide_still_paint(self) -> list[Any]:
-        """Hide painted layers while a deformed image is visible, and return the hidden layers.
+        """Hide painted layers if a deformed image is visible, and return the hidden layers.
 
-        Over a deformed image, the paint would look like an error of the deformation. A layer in
-        which a brush is selected stays visible.
+        Over a deformed image, the paint would look like an error of the deformation. It stays
+        hidden until the user shows it. A layer in which a brush is selected stays visible.
         """
         if not is_deformed(self.viewer):
             return []
@@ -188,8 +188,6 @@ class ViewerLayers:
         with layers.selection.events.active.blocker():
             yield
             layers.selection = {layer for layer in selected if layer in layers}
-            if active in layers:
-                layers.selection.active = active
         if layers.selection.active is not active:
             layers.selection.events.active(value=layers.selection.active)
 

@@ -141,9 +141,7 @@ class ViewerUndo:
             # napari stores at most 100 strokes, so the stroke may no longer be available.
             if part.kind == "paint" and paint_steps(part.layer, name):
                 self._repeat(part.layer, name)
-            image = self.session.image_of(part)
-            if image is not None:  # Labels are deformed without an image
-                self.session.select(None if isinstance(image, Labels) else image)
+            self.select_image_of(part)
             self.go_to(part)
             what += self._of_image(part)
         self.message.emit(nothing if step is None else f"{what}: {step.word}.", step)
@@ -171,6 +169,12 @@ class ViewerUndo:
         own = self.session.image_of(part) if isinstance(part, Part) else None
         where = f" on '{own.name}'" if own is not None and own is not image else ""
         return f"{what.capitalize()}{where}: {step.word}"
+
+    def select_image_of(self, part: Part) -> None:
+        """Select the image that a part belongs to; Labels are deformed without an image."""
+        image = self.session.image_of(part)
+        if image is not None:
+            self.session.select(None if isinstance(image, Labels) else image)
 
     def go_to(self, part: Part, turn: bool = False) -> None:
         """Show the slice of a part.

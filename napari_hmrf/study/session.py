@@ -254,9 +254,9 @@ class UnsavedWork:
 
 
 class Session(EditHistory):
-    """Editable model of all studies of a viewer: their parts, the selected slice, and undo.
+    """Studies of a viewer: their parts, the selected image and slice, and undo.
 
-    Each kind of part is written by a single method, and `changed` is emitted with the `Part`.
+    `changed` is emitted with the `Part` that has changed, its value, and its previous value.
 
     Parameters
     ----------
@@ -506,8 +506,8 @@ class Session(EditHistory):
     def reset(self) -> None:
         """Remove the drawing and the registration, and restore the default settings, as one step.
 
-        The chosen layers and their tables are kept. The edge is fixed only if there is
-        no boundary layer, as for a new image.
+        The chosen layers and their tables are kept. With a boundary layer, so is whether the edge
+        is fixed; without one, it is fixed, as for a new image.
         """
         choice, model = self.choice, self.model
         edge = choice.hold_edge if choice.boundary is not None else ImageChoice.hold_edge
@@ -524,6 +524,8 @@ class Session(EditHistory):
 
     def remove(self, layer: Hashable) -> None:
         """Drop the parts of a removed layer, and remove the layer from all choices."""
+        if layer is self.image:
+            self.select(None, is_gone=True)
         self.drop(lambda part: part.layer is layer)
         for part in self.parts:
             if part.kind == "choice":

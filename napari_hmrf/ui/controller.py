@@ -96,6 +96,8 @@ class Controller:
         self._viewer, self.form, self.binding, self.pointer = viewer, form, binding, pointer
         self._session = session
         self._is_released = False
+        # True if the choices could not be read, so that the last study is not the current one.
+        self._is_unread = False
         self.reader = StudyReader(viewer, session, binding.settle)
         # Study that was read last; its drawing is updated when it is asked for.
         self._read: Study | None = None
@@ -195,10 +197,11 @@ class Controller:
             study = self._read_chosen()
         except Exception as error:  # noqa: BLE001 - a layer may raise anything
             _log_unexpected(error)
-            self._submitted = None
+            self._is_unread, self._submitted = True, None
             self.curve_layer.show(None)
             self._report_failure(error)
             return False
+        self._is_unread = False
         if self.form.footer.live.value or self.pointer.active:
             self._follow(study)
         else:
@@ -216,6 +219,7 @@ class Controller:
             _log_unexpected(error)
             self._refuse(error)
             return
+        self._is_unread = False
         self.settling, self._submitted = True, study
         self.engine.submit(study, self.form.model.in_detail.device.value, cold_start=True)
         self.progress.start("Deforming", at_once=True)
@@ -293,7 +297,7 @@ class Controller:
         self.progress.release()
         self.curve_layer.show(None)
         self._read = self._submitted = None
-        self._failure = self._report = ""
+        self._failure, self._report, self._is_unread = "", "", False
         self.pointer.select_slice(None)
         self.latest_changed.emit()
 
@@ -397,7 +401,9 @@ class Controller:
 
     def _on_complete(self, done: CompleteResult) -> None:
         # Read pending edits first: they may select another slice or image.
-        if not self._refresh_timer.isActive() or self.refresh():
+        if self._refresh_timer.isActive():
+            self.refresh()
+        if not self._is_unread:
             self._failure = ""
         study = self.study
         if study is None or done.moved.study.grid != study.grid:

@@ -90,6 +90,7 @@ class Guide:
         tissue, boundary = form.tissue.choice.value, form.motion.boundary.choice.value
         return Situation(
             has_image=self._session.image is not None,
+            is_painted=self._session.image is None and self._controller.study is not None,
             has_layers=bool(viewer.layers),
             lacks_tissue=tissue is None,
             lacks_boundary=boundary is None,
@@ -197,7 +198,7 @@ class Guide:
         self._become(self._status.after_picture())
 
     def _on_tool(self) -> None:
-        if not self._pointer.tool.is_dragging:  # a drag reports its length, which shows all else
+        if not self._pointer.tool.is_dragging:  # a drag does not change what is drawn
             self.show()
 
     def _on_table(self, sentence: str) -> None:

@@ -102,6 +102,8 @@ class Situation:
     ----------
     has_image, has_layers : bool
         True if an image is chosen, and if the viewer has layers.
+    is_painted : bool
+        True if painted tissue is deformed without an image.
     lacks_tissue, lacks_boundary : bool
         True if no tissue and no boundary layer is chosen.
     covering : str
@@ -138,6 +140,7 @@ class Situation:
 
     has_image: bool = False
     has_layers: bool = False
+    is_painted: bool = False
     lacks_tissue: bool = True
     lacks_boundary: bool = True
     covering: str = ""
@@ -172,7 +175,7 @@ class Situation:
     @property
     def hint(self) -> str:
         """Hint about the next step."""
-        if not self.has_image:
+        if not (self.has_image or self.is_painted):
             return messages.no_image(has_layers=self.has_layers)
         if self.covering:
             return motion_messages.covered(self.covering)
@@ -239,7 +242,7 @@ def resolve(situation: Situation, status: Status) -> Scene:
         status=messages.with_button(_text(situation, status), situation.deform),
         new_layer=NEW_TISSUE if situation.lacks_tissue else NEW_BOUNDARY,
         can_add=situation.has_image and (situation.lacks_tissue or situation.lacks_boundary),
-        has_study=situation.has_image,
+        has_study=situation.has_image or situation.is_painted,
         obstacle=situation.obstacle,
         can_remove=situation.has_selection,
         can_clear=situation.has_marks,

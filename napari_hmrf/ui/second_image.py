@@ -66,10 +66,10 @@ class SecondImage:
         self._results = shared(viewer, ResultLayers)
         self._form = controller.form.result
         self._pair = controller.form.motion.boundary.landmarks
-        # Settings of the compared layers, and index and visibility of the second image, before
-        # the comparison.
+        # Settings of the compared layers, and visibility of the second image and the layer below
+        # it, before the comparison.
         self._before: dict[Any, dict[str, Any]] = {}
-        self._place, self._was_wanted = 0, True
+        self._was_wanted, self._below = True, None
         choices = (self._form.second, self._pair.sources, self._pair.targets)
         # True if the result belongs to earlier inputs, because the current inputs were refused.
         self._is_outdated = False
@@ -141,9 +141,9 @@ class SecondImage:
         for layer, look in self._before.items():
             _set(layer, look)
         second = next(iter(self._before), None)
-        if second in layers:  # on top, the second image would cover the image
+        if second in layers and second is not other:  # on top, it would cover the image
             written.want(second, wanted=self._was_wanted)
-            written.move(second, self._place)
+            written.move(second, written.above(self._below))
         self._before = {}
         for layer in compared:
             look = dict(_OTHER if layer is other else _MOVED)
@@ -151,10 +151,12 @@ class SecondImage:
                 del look["colormap"]
             self._before[layer] = {name: getattr(layer, name) for name in look}
             _set(layer, look)
-        if other is not None:
-            self._place, self._was_wanted = layers.index(other), written.is_wanted(other)
+        if other is not None and other is not second:
+            at, self._was_wanted = layers.index(other), written.is_wanted(other)
+            self._below = layers[at - 1] if at else None
             written.want(other)
-            written.move(other, max(self._place, written.above(*moved)))
+        if other is not None:
+            written.move(other, max(layers.index(other), written.above(*moved)))
 
     def _on_outdated(self) -> None:
         self._is_outdated = True

@@ -361,7 +361,7 @@ class Unsaved:
 
     def _save_slice(self, part: Part) -> None:
         """Go to a slice or a volume, and save it to its known path, or to a path that is chosen."""
-        self._dock.image = part.layer
+        self._undo.select_image_of(part)
         extent = self._controller.form.extent
         if part.place is not None and extent.has_slices:
             extent.value = "volume" if len(part.place.plane) == 3 else "slice"

@@ -213,7 +213,8 @@ class ViewerWatch:
 
     def _reads(self, layer: Any) -> bool:
         """Return whether the study is read from a layer."""
-        return layer in (self._session.image, *self._session.choice.layers)
+        choice = self._session.choice
+        return layer in (self._session.image, choice.tissue, choice.boundary, choice.confidence)
 
     def _on_inserted(self, event: Any) -> None:
         self._binding.refresh()

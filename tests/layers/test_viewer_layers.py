@@ -75,13 +75,16 @@ def test_an_unchanged_layer_keeps_its_mode(viewer):
 
 
 def test_a_new_layer_leaves_the_selection_as_it_is(viewer):
-    layers, one, events = layers_of(viewer), viewer.layers["one"], []
+    layers, (one, two), events = layers_of(viewer), viewer.layers, []
     viewer.layers.selection = {one}
     viewer.layers.selection.events.active.connect(events.append)
     layers.add(Points([[1, 1]], name="new"), layers.above(one))
     assert [layer.name for layer in viewer.layers] == ["one", "new", "two"]
     assert viewer.layers.selection.active is one
     assert not events
+    viewer.layers.selection = {one, two}
+    layers.add(Points([[1, 1]], name="newer"))
+    assert viewer.layers.selection == {one, two}
     layers.add(Points([[1, 1]], name="top"), select=True)
     assert viewer.layers.selection.active.name == "top"
 

@@ -48,6 +48,21 @@ def test_deform_ends_without_a_result_if_another_slice_is_displayed(
     assert finished[1] is not None, "the next press has no result"
 
 
+def test_the_reason_for_a_refused_edit_stays_when_an_earlier_result_arrives(
+    frame, stack_dock, busy_thread, at_rest
+):
+    stack_dock.live = True
+    at_rest(thread=False)
+    stack_dock.drawing = Drawing((Arrow((12, 13), (2, 0), 2.0),))
+    at_rest(thread=False)
+    stack_dock.boundary = frame.viewer.add_labels(np.zeros((5, 5), int), name="small")
+    at_rest(thread=False)
+    assert "The tissue was not updated" in stack_dock.status
+    busy_thread.set()
+    at_rest.until(lambda: not stack_dock.busy)
+    assert "The tissue was not updated" in stack_dock.status
+
+
 def test_deform_ends_without_a_result_if_the_drawing_is_removed(
     stack_dock, finished, busy_thread, at_rest
 ):

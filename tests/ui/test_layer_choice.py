@@ -63,6 +63,16 @@ def test_no_image_remains_selected_after_another_image_is_added(widget, small_sa
     assert widget.image is None
 
 
+def test_tissue_alone_is_not_deformed_after_its_image_is_removed(widget, small_sample, run):
+    viewer = viewer_of(widget)
+    image, tissue, _ = small_sample(viewer)
+    assert run(widget) is not None
+    viewer.layers.remove(image)
+    assert (widget.image, widget.tissue) == (None, tissue)
+    assert run(widget) is None
+    assert widget.status == CHOOSE
+
+
 def test_a_removed_image_is_replaced_by_the_next_image(widget):
     viewer = viewer_of(widget)
     first = viewer.add_image(np.zeros((20, 24)), name="first")

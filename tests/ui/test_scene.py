@@ -73,6 +73,7 @@ def test_the_tools_work_in_3d_on_a_visible_volume_only():
 def test_the_hint_names_the_next_step():
     assert Situation().hint == messages.WELCOME
     assert Situation(has_layers=True).hint == messages.CHOOSE
+    assert Situation(has_layers=True, is_painted=True).hint == words.START
     assert IMAGE.hint == words.START
     assert replace(IMAGE, is_live=False).hint == words.START
     painted = replace(IMAGE, is_live=False, lacks_boundary=False)

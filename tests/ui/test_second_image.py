@@ -281,6 +281,34 @@ def test_the_second_image_is_overlaid_on_the_moved_image_until_the_comparison_en
     assert {each.colormap.name for each in pictures} == {"gray"}
 
 
+def test_a_second_image_hidden_by_the_user_stays_hidden_below_new_results(compared, wait_for):
+    viewer, dock, _, after = compared
+    order = [layer.name for layer in viewer.layers]
+    dock.compare_with = after
+    after.visible = False
+    dock.drawing = Drawing((Arrow(at=(24, 28), by=(0.0, 2.0), radius=2.0),))
+    wait_for(lambda: dock.solution is not None and not dock.busy)
+    assert not after.visible
+    top = viewer.add_image(np.zeros(SHAPE), name="top", visible=False)
+    viewer.layers.move(viewer.layers.index(top), 0)
+    dock.compare_with = None
+    assert [layer.name for layer in viewer.layers if layer.name in order] == order
+    assert not after.visible
+
+
+def test_removing_the_second_image_does_not_end_a_solve(compared, wait_for):
+    viewer, dock, _, after = compared
+    dock.compare_with = after
+    dock.drawing = Drawing((Arrow(at=(24, 28), by=(0.0, 2.0), radius=2.0),))
+    wait_for(lambda: not dock.busy)
+    finished = []
+    dock.finished.connect(finished.append)
+    dock.deform()
+    viewer.layers.remove(after)
+    wait_for(lambda: bool(finished))
+    assert finished[0] is not None
+
+
 def test_a_removed_second_image_ends_the_comparison(compared, wait_for):
     viewer, dock, before, after = compared
     dock.compare_with = after

@@ -33,7 +33,7 @@ from napari_hmrf.io import recovery
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.tissue.drawing.patch_motion import PatchMotion
 from napari_hmrf.ui.soft_tissue import SoftTissue
-from tests.support.docks import dock_in
+from tests.support.docks import dock_in, quick
 from tests.support.long_work import long_work
 from tests.support.screen import Screen
 from tests.support.timeouts import LONG, LONG_MS
@@ -600,3 +600,19 @@ def test_unreadable_work_of_a_killed_process_can_be_discarded(new_dock, left_beh
     assert thrown == [str(file)], "the file was not moved to the trash"
     assert not autosaved_files()
     assert LEFT not in Screen(dock).words
+
+
+def test_marks_on_tissue_without_an_image_are_saved_before_closing(frame, at_rest, tmp_path):
+    tissue = frame.viewer.add_labels(np.pad(np.ones((30, 40), int), 8), name="only tissue")
+    dock = quick(frame.open())
+    dock.tissue = tissue
+    dock.drawing = DRAWING
+    path = dock.save_study(tmp_path / "alone.study")
+    dock.drawing = OTHER
+    frame.viewer.add_image(np.zeros((46, 56)), name="another")
+    dock.image = frame.viewer.layers["another"]
+    at_rest()
+    Answers(dock, "save")
+    assert dock._unsaved.may_close()
+    assert read_study(path)[0].motion.drawing == OTHER
+    at_rest()

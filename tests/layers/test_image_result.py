@@ -1,0 +1,63 @@
+"""Layers of a result are shown as long as they belong to what is shown."""
+
+import numpy as np
+import pytest
+from napari.components import ViewerModel
+
+from napari_hmrf.field.frame import Frame
+from napari_hmrf.layers.image_result import ResultLayers
+from napari_hmrf.layers.result_layers import layer_on
+
+HERE = Frame.at((1.0, 1.0), ("pixel",) * 2)
+
+
+@pytest.fixture
+def shown():
+    """Return a function that shows a result of an image with the given parts."""
+    viewer = ViewerModel()
+    image = viewer.add_image(np.eye(4), name="scan")
+    results = ResultLayers(viewer)
+
+    def show(*parts):
+        made = {}
+        for part in parts:
+            sort = "vectors" if part == "arrows" else "image"
+            data = np.ones((1, 2, 2)) if part == "arrows" else np.eye(4)
+            made[part] = layer_on(HERE, data, f"scan {part}", {"kind": part}, {}, sort)
+        results.show(image, HERE, made)
+        return results.at(image, HERE.slice_name)
+
+    yield show
+    assert image in viewer.layers
+
+
+def visible(result):
+    return [part for part in ("image", "arrows") if result.layer(part).visible]
+
+
+def test_a_part_that_the_latest_result_lacks_is_hidden_until_a_later_result_has_it(shown):
+    result = shown("image", "arrows")
+    assert visible(result) == ["image", "arrows"]
+    shown("image")
+    assert visible(result) == ["image"]
+    shown("image", "arrows")
+    assert visible(result) == ["image", "arrows"]
+
+
+def test_a_part_that_the_user_has_hidden_stays_hidden_in_later_results(shown):
+    result = shown("image", "arrows")
+    result.layer("arrows").visible = False
+    shown("image", "arrows")
+    assert visible(result) == ["image"]
+    result.set_wanted("arrows", True)
+    assert visible(result) == ["image", "arrows"]
+
+
+def test_no_part_is_shown_with_the_undeformed_image(shown):
+    result = shown("image", "arrows")
+    result.show_before(True)
+    assert visible(result) == []
+    shown("image", "arrows")
+    assert visible(result) == []
+    result.show_before(False)
+    assert visible(result) == ["image", "arrows"]
