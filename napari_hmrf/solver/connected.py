@@ -24,7 +24,7 @@ from napari_hmrf.solver import followers
 from napari_hmrf.solver.backends import volume_caches
 from napari_hmrf.solver.followers import Followers, around, find_followers, followers_of, remembered
 from napari_hmrf.solver.loads import Loads
-from napari_hmrf.solver.neighbours import around_sites, in_elements
+from napari_hmrf.solver.neighbours import in_elements
 from napari_hmrf.solver.priors import Prior, SeilerPrior
 from napari_hmrf.solver.priors.seiler import in_cliques
 from napari_hmrf.solver.problem import Problem, variant_of
@@ -211,10 +211,10 @@ def _of_cliques(problem: Problem, prior: SeilerPrior) -> tuple[Problem, _Each, _
         elements = in_elements(flat)
 
         def of(connected: Mask) -> _Each:
-            pairs = ([each.reshape(flat.shape) for each in both] for both in zip(connected, sure))
+            shaped = (masks.reshape(-1, *flat.shape) for masks in (connected, sure))
             return tuple(
                 find_followers(flat, each, each if blanket else elements, meant)
-                for each, meant in pairs
+                for each, meant in zip(*shaped, strict=True)
             )
 
         # An observation that no clique and no other site takes is the displacement of its site.
