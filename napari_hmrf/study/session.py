@@ -201,6 +201,25 @@ class ModelChoice:
         return optimizer_of(self.name, self.details)
 
 
+@dataclass(frozen=True)
+class Display:
+    """How studies are solved and shown: for all images of the viewer, and without undo steps.
+
+    Attributes
+    ----------
+    live : bool
+        True if every edit updates the result.
+    device : str
+        Device of the solver, as the argument `backend` of `solve`.
+    overlay : str
+        Overlay on the image; "nothing" for none.
+    """
+
+    live: bool = True
+    device: str = "auto"
+    overlay: str = "nothing"
+
+
 class UnsavedWork:
     """Register of slices with unsaved edits, which are identified by their drawings.
 
@@ -272,19 +291,23 @@ class Session(EditHistory):
         deformed.
     slice : Part
         Key of the drawing of the selected slice; its layer is the layer that is deformed.
+    display : Display
     unsaved : UnsavedWork
     selected : Signal(object, object)
         Emitted with the image and the previous image when another image is selected.
+    displayed : Signal(Display)
+        Emitted when the display has changed.
     """
 
     selected = Signal(object, object)
+    displayed = Signal(Display)
 
     def __init__(self, depth: int = DEPTH) -> None:
         super().__init__(depth)
         self.image: Hashable | None = None
         self.image_is_gone = False
         self.slice = Part("drawing", None)
-        self.unsaved = UnsavedWork(self)
+        self.display, self.unsaved = Display(), UnsavedWork(self)
 
     # Selection
 
@@ -301,6 +324,15 @@ class Session(EditHistory):
             self.end()
         self.slice = Part("drawing", image, place)
         self.setdefault(self.slice, Drawing())
+
+    # Display
+
+    def choose_display(self, **changes: Any) -> None:
+        """Change attributes of the `display`."""
+        now = replace(self.display, **changes)
+        if now != self.display:
+            self.display = now
+            self.displayed.emit(now)
 
     # Choices
 

@@ -202,7 +202,7 @@ class Controller:
             self._report_failure(error)
             return False
         self._is_unread = False
-        if self.form.footer.live.value or self.pointer.active:
+        if self._session.display.live or self.pointer.active:
             self._follow(study)
         else:
             self._failure = ""
@@ -221,7 +221,7 @@ class Controller:
             return
         self._is_unread = False
         self.settling, self._submitted = True, study
-        self.engine.submit(study, self.form.model.in_detail.device.value, cold_start=True)
+        self.engine.submit(study, self._session.display.device, cold_start=True)
         self.progress.start("Deforming", at_once=True)
 
     def cancel(self) -> None:
@@ -345,7 +345,7 @@ class Controller:
 
     def _on_drawn(self) -> None:
         """Solve for the changed drawing without reading the layers again."""
-        if self._refresh_timer.isActive() and (self.form.footer.live.value or self.pointer.active):
+        if self._refresh_timer.isActive() and (self._session.display.live or self.pointer.active):
             return  # the refresh reads the other changes of the same undo step, and the drawing
         if self._failure:  # the last study that was read has other settings than the form
             self.follow_edit()
@@ -374,7 +374,7 @@ class Controller:
             plane = plane_shown(place, view) if in_slices else None
             cut = self.pointer.display.cut if volume and not in_slices else None
             study, preview = as_dragged(study), drag_preview(study, plane, cut)
-        self.engine.submit(study, self.form.model.in_detail.device.value, preview=preview)
+        self.engine.submit(study, self._session.display.device, preview=preview)
 
     def _on_answer(self, state: ShownDeformation) -> None:
         study, moved = self.study, state.moved
@@ -455,7 +455,7 @@ class Controller:
             return f"The tissue was not updated. {self._failure} {stays}".rstrip()
         if self.pointer.active:
             return ""
-        if latest is None or study is None or self.form.footer.live.value or self.fresh:
+        if latest is None or study is None or self._session.display.live or self.fresh:
             return self._report
         return messages.CHANGED
 

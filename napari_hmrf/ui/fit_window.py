@@ -11,6 +11,7 @@ from qtpy.QtCore import Qt
 from napari_hmrf.posterior.fit import Fit
 from napari_hmrf.posterior.study_fit import value_in_words
 from napari_hmrf.tissue.boundary_rules import Material
+from napari_hmrf.ui.table_window import Cell, TableWindow
 
 TITLE = "Fit to second image"
 _ABOUT = (
@@ -21,8 +22,8 @@ _ABOUT = (
 _RATIOS = "Only ratios of stiffness have an effect: leave at least one tissue unticked"
 #: Message if no property is ticked.
 NOTHING = "Tick at least one property."
-# Size of the window in addition to the cells, and height of a row, in pixels.
-_MARGINS, _ROW = (40, 190), 32
+# Smallest width of the window, in pixels.
+_WIDTH = 440
 
 
 class FitColumn(NamedTuple):
@@ -51,7 +52,7 @@ COLUMNS = (
 )
 
 
-class FitWindow(QtWidgets.QDialog):
+class FitWindow(TableWindow):
     """Window with a row for each tissue and a box for each property.
 
     Parameters
@@ -73,30 +74,22 @@ class FitWindow(QtWidgets.QDialog):
         start: Callable[[], object],
         cancel: Callable[[], object],
     ) -> None:
-        super().__init__(parent, windowTitle=TITLE)
         self.start = start
         self._rows: list[Material] = []
-        self._table = QtWidgets.QTableWidget(0, len(COLUMNS) + 1)
-        self._table.setObjectName("measurements")
-        self._table.setAccessibleName("Properties to fit")
-        self._table.setTabKeyNavigation(False)
-        self._table.setEditTriggers(self._table.EditTrigger.NoEditTriggers)
-        self._table.verticalHeader().hide()
-        self._table.setHorizontalHeaderLabels(["tissue", *(each.title for each in COLUMNS)])
         self._fit, self._cancel = QtWidgets.QPushButton("Fit"), QtWidgets.QPushButton("Cancel")
         self._fit.clicked.connect(lambda _: start())
         self._cancel.clicked.connect(lambda _: cancel())
         self._outcome = QtWidgets.QLabel(wordWrap=True)
-        about = QtWidgets.QLabel(_ABOUT, wordWrap=True)
-        buttons = QtWidgets.QHBoxLayout()
+        about, below = QtWidgets.QLabel(_ABOUT, wordWrap=True), QtWidgets.QWidget()
+        about.setMinimumWidth(_WIDTH)
+        buttons = QtWidgets.QHBoxLayout(below)
+        buttons.setContentsMargins(0, 0, 0, 0)
         buttons.addStretch()
         for button in (self._fit, self._cancel):
             button.setAutoDefault(False)
             buttons.addWidget(button)
-        layout = QtWidgets.QVBoxLayout(self)
-        for widget in (about, self._table, self._outcome):
-            layout.addWidget(widget)
-        layout.addLayout(buttons)
+        super().__init__(parent, TITLE, [about], [self._outcome, below], height=190)
+        self.table.setAccessibleName("Properties to fit")
         self.show_busy(False)
 
     def show_rows(
@@ -114,25 +107,21 @@ class FitWindow(QtWidgets.QDialog):
             Fit to which the values belong, for the intervals; None if there is none.
         """
         self._rows = [*rows]
-        is_first = not self._table.rowCount()
-        self._table.setRowCount(len(self._rows))
-        for number, row in enumerate(self._rows):
-            name = QtWidgets.QTableWidgetItem(row.name or f"label {row.label}")
-            name.setFlags(Qt.ItemFlag.ItemIsEnabled)
-            self._table.setItem(number, 0, name)
-            for place, column in enumerate(COLUMNS, 1):
-                is_ticked = row.label in ticked.get(column.name, ())
-                self._table.setItem(number, place, _cell(row, column, is_ticked, found))
-        self._table.resizeColumnsToContents()
-        if is_first:
-            width = self._table.horizontalHeader().length() + _MARGINS[0]
-            self.resize(max(width, 480), _MARGINS[1] + _ROW * (len(self._rows) + 1))
+        titles = ["tissue", *(each.title for each in COLUMNS)]
+        cells = [
+            [
+                Cell(row.name or f"label {row.label}"),
+                *(_cell(row, each, ticked, found) for each in COLUMNS),
+            ]
+            for row in self._rows
+        ]
+        self.show_cells(titles, cells)
 
     def tick(self, label: int, name: str) -> None:
         """Check the box of a property of a tissue."""
         (row,) = [number for number, each in enumerate(self._rows) if each.label == label]
         (column,) = [place for place, each in enumerate(COLUMNS, 1) if each.name == name]
-        item = self._table.item(row, column)
+        item = self.table.item(row, column)
         assert item is not None
         item.setCheckState(Qt.CheckState.Checked)
 
@@ -142,7 +131,7 @@ class FitWindow(QtWidgets.QDialog):
         found: dict[str, set[int]] = {column.name: set() for column in COLUMNS}
         for number, row in enumerate(self._rows):
             for place, column in enumerate(COLUMNS, 1):
-                item = self._table.item(number, place)
+                item = self.table.item(number, place)
                 if item is not None and item.checkState() == Qt.CheckState.Checked:
                     found[column.name].add(row.label)
         return found
@@ -158,8 +147,8 @@ class FitWindow(QtWidgets.QDialog):
 
 
 def _cell(
-    row: Material, column: FitColumn, is_ticked: bool, found: Fit | None
-) -> QtWidgets.QTableWidgetItem:
+    row: Material, column: FitColumn, ticked: Mapping[str, set[int]], found: Fit | None
+) -> Cell:
     """Return a box with the value of a property, and its interval if it was fitted."""
     fitted: Mapping[int, Any] = {} if found is None else getattr(found, column.name)
     value = getattr(row, column.name)
@@ -169,8 +158,4 @@ def _cell(
         text = " / ".join(f"{column.factor * part:.4g}" for part in value)
     else:
         text = f"{column.factor * value:.4g}"
-    cell = QtWidgets.QTableWidgetItem(text)
-    cell.setFlags(Qt.ItemFlag.ItemIsEnabled | Qt.ItemFlag.ItemIsUserCheckable)
-    cell.setCheckState(Qt.CheckState.Checked if is_ticked else Qt.CheckState.Unchecked)
-    cell.setToolTip(column.tip)
-    return cell
+    return Cell(text, column.tip, is_ticked=row.label in ticked.get(column.name, ()))

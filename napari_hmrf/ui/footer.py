@@ -182,8 +182,8 @@ class LiveChoice(CheckBox):
     def judge(self, pixels: int) -> None:
         """Set the default for this number of pixels, unless the value was set before."""
         if not self._decided:
-            with self.changed.blocked():
-                self.value = pixels <= LARGEST
+            self.value = pixels <= LARGEST
+            self._decided = False
 
     @property
     def reason(self) -> str:

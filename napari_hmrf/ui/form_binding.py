@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from napari.layers import Labels, Layer
@@ -23,7 +24,7 @@ from napari_hmrf.layers.metadata import BOUNDARY, role_of
 from napari_hmrf.layers.slice_view import fits
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.layers.viewer_undo import undo_of
-from napari_hmrf.study.session import BRIGHTNESS, ImageChoice, ModelChoice, Part
+from napari_hmrf.study.session import BRIGHTNESS, Display, ImageChoice, ModelChoice, Part
 from napari_hmrf.tissue.material_presets import PLAIN, PRESETS, Preset
 from napari_hmrf.tissue.row_table import change
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
@@ -46,6 +47,8 @@ class FormBinding:
     ----------
     fields : dict of str to ValueWidget
         Widget for each attribute of `ImageChoice`.
+    display : dict of str to ValueWidget
+        Widget for each attribute of `Display`.
     automatic : bool
         True while the program, rather than the user, changes values.
     """
@@ -70,6 +73,11 @@ class FormBinding:
             "preset": motion.fields.preset,
             **{each.name: each for each in motion.switches},
         }
+        self.display: dict[str, Any] = {
+            "live": form.footer.live,
+            "device": form.model.in_detail.device,
+            "overlay": form.result.overlay,
+        }
         self.automatic = False
         # True once the user has chosen or deformed an image; new images then do not replace it.
         self._image_is_fixed = False
@@ -85,6 +93,9 @@ class FormBinding:
             table.changed.connect(self._write_tables)
         for field in (*self.fields.values(), form.model, form.model.in_detail):
             field.changed.connect(self.write, max_args=0)
+        for name, field in self.display.items():
+            field.changed.connect(partial(self._write_display, name))
+            self._write_display(name, field.value)
         form.tissue.editor.plot.edited.connect(self._use_curve)
         form.tissue.editor.plot.settled.connect(lambda _: session.end())
         form.footer.undo.changed.connect(lambda _: undo.undo())
@@ -97,6 +108,7 @@ class FormBinding:
             (session.changed, self._on_changed),
             (session.selected, self._on_selected),
             (session.selected, show),
+            (session.displayed, self._on_displayed),
             (session.steps_changed, show),
         )
         undo.bind_keys(self)
@@ -256,7 +268,7 @@ class FormBinding:
                 self._show_model(session.model)
             form.extent.show_for(image)
             form.tissue.offer(session.curve)
-            if image is not None and known:
+            if known and not session.image_is_gone:
                 self._show(choice)
             elif image is not None:
                 self._begin_with(image)
@@ -322,6 +334,9 @@ class FormBinding:
         self._session.choose(step=step, **values)
         self._session.choose_model(self._form.model.choice, step=step)
 
+    def _write_display(self, name: str, value: Any) -> None:
+        self._session.choose_display(**{name: value})
+
     def _write_tables(self, automatic: bool) -> None:
         for table in () if self.automatic and not automatic else self._form.tables:
             layer = table.layer
@@ -357,6 +372,12 @@ class FormBinding:
         self._session.set_curve(curve, word)
 
     # From the session to the forms
+
+    def _on_displayed(self, display: Display) -> None:
+        """Show how studies are displayed."""
+        for name, field in self.display.items():
+            if field.value != getattr(display, name):
+                field.value = getattr(display, name)
 
     def _on_changed(self, part: Part, value: Any, _: Any = None) -> None:
         """Show a changed part in the form."""

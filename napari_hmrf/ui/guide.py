@@ -40,7 +40,7 @@ class Guide:
         self._drawn: Scene | None = None
         self._introduction = ""
         self._is_painting = False
-        self._chip = WarningChip(viewer, form, lambda: controller.latest_here)
+        self._chip = WarningChip(viewer, form, undo.session, lambda: controller.latest_here)
         self._chip.message.connect(self._on_study)
         for table in form.tables:
             table.message.connect(self._on_table)
@@ -101,7 +101,7 @@ class Guide:
             sees_volume=place is None
             or len(place.plane) == 2
             or shows_volume(place, self._controller.view),
-            is_live=form.footer.live.value,
+            is_live=self._session.display.live,
             live_reason=form.footer.live.reason,
             tool=tool.hint if is_active else "",
             tool_in_plane=tool.flat_hint,

@@ -112,7 +112,7 @@ class SoftTissue(DockValues):
         inputs = form, self._binding, self._pointer, undo.session
         self._controller = controller = Controller(self.native, viewer, *inputs)
         results = shared(viewer, ResultLayers)
-        self._view = ResultView(self.native, viewer, form.result, results)
+        self._view = ResultView(self.native, viewer, form.result, results, undo.session)
         controller.overlay_monitor = lambda: self._view.overlay_monitor
         self._connections = EventConnections((undo.session.selected, self._view.select_image))
         self._guide = Guide(viewer, controller, undo)

@@ -203,7 +203,7 @@ class Unsaved:
     @property
     def _overlay(self) -> str:
         """Overlay of the window, or "" if it needs a layer that is not in the file."""
-        chosen: str = self._controller.form.result.overlay.value
+        chosen = self._session.display.overlay
         return "" if chosen in ("difference", "uncertainty") else chosen
 
     @property
@@ -300,9 +300,8 @@ class Unsaved:
             dock.drawing = drawing
         if (brightness := self._controller.curve_layer.layer) is not None and study.moves:
             written.want(brightness, wanted=False)  # would tint the deformed image
-        overlay = self._controller.form.result.overlay
-        if (name := overlay_named_in(path)) in overlay.choices:
-            overlay.value = name
+        if (name := overlay_named_in(path)) in self._controller.form.result.overlay.choices:
+            self._session.choose_display(overlay=name)
         self._awaited = self._session.image, second_image_named_in(path)
         self._choose_second()
         self._missing.show_name(self._awaited[1])

@@ -12,6 +12,7 @@ from napari_hmrf.layers.metadata import metadata_of
 from napari_hmrf.layers.result_layers import CompleteResult
 from napari_hmrf.layers.slice_view import plane_shown
 from napari_hmrf.study.models import larger_budget
+from napari_hmrf.study.session import Session
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.result.result_messages import NOTHING
@@ -24,6 +25,8 @@ class WarningChip:
     ----------
     viewer : napari.Viewer or ViewerModel
     form : DockForm
+    session : Session
+        Session with the overlay.
     latest : callable
         Returns the latest result of the current study, or None.
     """
@@ -32,16 +35,21 @@ class WarningChip:
     message = Signal(str)
 
     def __init__(
-        self, viewer: Any, form: DockForm, latest: Callable[[], CompleteResult | None]
+        self,
+        viewer: Any,
+        form: DockForm,
+        session: Session,
+        latest: Callable[[], CompleteResult | None],
     ) -> None:
-        self._viewer, self._form, self._latest = viewer, form, latest
+        self._viewer, self._form, self._session = viewer, form, session
+        self._latest = latest
         form.footer.chip.clicked.connect(self._on_chip)
         form.footer.other.clicked.connect(self._take_offer)
 
     @property
     def overlay(self) -> str:
         """Chosen overlay, or `NOTHING` if its marks are not visible."""
-        chosen: str = self._form.result.overlay.value
+        chosen = self._session.display.overlay
         if chosen not in MARKS:
             return chosen
         marks = (each for each in self._viewer.layers if metadata_of(each).get("kind") == chosen)
@@ -58,16 +66,17 @@ class WarningChip:
 
     def _on_chip(self) -> None:
         """Emit the warning, and show the next mark: folds, then overlaps, then no mark."""
-        overlay, latest, slice_message = self._form.result.overlay, self._latest(), ""
+        latest, slice_message, choose = self._latest(), "", self._session.choose_display
+        chosen = self._session.display.overlay
         shown = self.overlay
         mark = None if latest is None else messages.next_mark(latest.outputs, shown)
         if latest is not None and mark is not None:
-            if overlay.value == mark:  # the marks are hidden
-                overlay.value = NOTHING
-            overlay.value = mark
+            if chosen == mark:  # the marks are hidden
+                choose(overlay=NOTHING)
+            choose(overlay=mark)
             slice_message = self._go_to_most(latest, mark)
-        elif overlay.value in MARKS:
-            overlay.value = NOTHING
+        elif chosen in MARKS:
+            choose(overlay=NOTHING)
         self.message.emit(f"{self._form.footer.warning} {slice_message}".rstrip())
 
     def _go_to_most(self, latest: CompleteResult, mark: Mark) -> str:

@@ -16,7 +16,7 @@ from napari_hmrf.layers.read import Request, study_from_layers, study_layers
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_undo import undo_of
 from napari_hmrf.study.models import SolverDetails
-from napari_hmrf.study.session import ImageChoice, ModelChoice, Part, Session
+from napari_hmrf.study.session import Display, ImageChoice, ModelChoice, Part, Session
 from napari_hmrf.tissue.material_presets import PLAIN
 from napari_hmrf.tissue.row_table import RowTable
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
@@ -170,6 +170,20 @@ def test_choices_apply_to_one_image_only(layers):
     model.choose(hold_edge=False)
     model.select(layers["image"])
     assert model.choice == ImageChoice(tissue=layers["tissue"], weight=(1.0, 0.0))
+
+
+def test_how_studies_are_displayed_is_common_to_all_images_and_not_a_step(dock):
+    session, seen = dock.session, []
+    session.displayed.connect(seen.append)
+    session.choose_display(live=False, device="cpu")
+    assert (dock.live, dock.device) == (False, "cpu")
+    dock.live = True
+    assert session.display == Display(live=True, device="cpu")
+    session.select(None)
+    assert session.display.device == "cpu"
+    assert session.next_undo is None
+    session.choose_display(live=True)
+    assert len(seen) == 2
 
 
 def test_the_window_and_the_model_update_each_other(dock, layers, at_rest):

@@ -11,6 +11,7 @@ from qtpy.QtCore import Qt
 
 from napari_hmrf.tissue.drawing import Landmark
 from napari_hmrf.ui.forms import number_of
+from napari_hmrf.ui.table_window import Cell, TableWindow
 
 TITLE = "Distance of each landmark from its target"
 _COLUMN = 3
@@ -29,8 +30,6 @@ INVALID = (
     "A standard deviation (±) must be from 0 (exact) to {:g} {}, the diagonal of the image; it was "
     "not changed."
 )
-# Width and height of the window in addition to those of the cells, and height of a row, in pixels.
-_MARGINS, _ROW = (40, 100), 32
 
 
 class LandmarkRow(NamedTuple):
@@ -75,7 +74,7 @@ class LandmarkRows(NamedTuple):
     is_outdated: bool = False
 
 
-class LandmarkTable(QtWidgets.QDialog):
+class LandmarkTable(TableWindow):
     """Window with the landmarks of the displayed result, updated with each result.
 
     Parameters
@@ -94,48 +93,21 @@ class LandmarkTable(QtWidgets.QDialog):
         set_sd: Callable[[Landmark, float], None],
         refuse: Callable[[str], None],
     ) -> None:
-        super().__init__(parent, windowTitle=TITLE)
+        super().__init__(parent, TITLE)
         self._set_sd, self._refuse = set_sd, refuse
         self._content = LandmarkRows([], "")
         self.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        self._table = QtWidgets.QTableWidget(0, _COLUMN + 2)
-        self._table.setObjectName("measurements")
-        self._table.verticalHeader().hide()
-        self._table.itemChanged.connect(self._on_item)
-        QtWidgets.QVBoxLayout(self).addWidget(self._table)
+        self.table.itemChanged.connect(self._on_item)
 
     def show_rows(self, content: LandmarkRows | None) -> None:
         """Show the landmarks of a result; None shows an empty table."""
         self._content = content = LandmarkRows([], "") if content is None else content
-        table, unit = self._table, content.unit
-        is_first = not table.rowCount()
-        table.blockSignals(True)
-        now = "last result" if content.is_outdated else "now"
+        unit, now = content.unit, "last result" if content.is_outdated else "now"
         titles = ["landmark", f"before ({unit})", f"{now} ({unit})", f"± ({unit})"]
-        table.setHorizontalHeaderLabels([*titles, f"tissue ± ({unit})"])
-        table.horizontalHeaderItem(_COLUMN).setToolTip(_SD_TIP)
-        table.horizontalHeaderItem(_COLUMN + 1).setToolTip(_BAR_TIP)
-        table.setColumnHidden(_COLUMN + 1, all(row.bar is None for row in content.rows))
-        table.setRowCount(len(content.rows))
-        for number, row in enumerate(content.rows):
-            spread = "" if row.mark is None else f"{row.mark.sd:g}"
-            bar = "" if row.bar is None else f"{row.bar:.2g}"
-            words = [str(row.number), f"{row.before:.3g}", f"{row.now:.3g}", spread, bar]
-            for column, text in enumerate(words):
-                table.setItem(number, column, self._cell(text, column, row))
-        table.blockSignals(False)
-        if is_first:
-            table.resizeColumnsToContents()
-            width = table.horizontalHeader().length() + _MARGINS[0]
-            self.resize(width, _MARGINS[1] + _ROW * (len(content.rows) + 1))
-
-    def _cell(self, text: str, column: int, row: LandmarkRow) -> QtWidgets.QTableWidgetItem:
-        cell = QtWidgets.QTableWidgetItem(text)
-        if column != _COLUMN or row.mark is None:
-            cell.setFlags(cell.flags() & ~Qt.ItemFlag.ItemIsEditable)
-        if column == _COLUMN:
-            cell.setToolTip(_NOT_DRAWN if row.mark is None else _SD_TIP)
-        return cell
+        tips = ["", "", "", _SD_TIP, _BAR_TIP]
+        rows = [_cells(row) for row in content.rows]
+        self.show_cells([*titles, f"tissue ± ({unit})"], rows, tips)
+        self.table.setColumnHidden(_COLUMN + 1, all(row.bar is None for row in content.rows))
 
     def _on_item(self, item: Any) -> None:
         """Set the typed standard deviation, or restore the previous value if it is invalid."""
@@ -149,3 +121,12 @@ class LandmarkTable(QtWidgets.QDialog):
         else:
             self._refuse(INVALID.format(largest, self._content.unit))
             self.show_rows(self._content)
+
+
+def _cells(row: LandmarkRow) -> list[Cell]:
+    spread = Cell("", _NOT_DRAWN)
+    if row.mark is not None:
+        spread = Cell(f"{row.mark.sd:g}", _SD_TIP, is_edited=True)
+    bar = "" if row.bar is None else f"{row.bar:.2g}"
+    number, before, now = f"{row.number}", f"{row.before:.3g}", f"{row.now:.3g}"
+    return [Cell(number), Cell(before), Cell(now), spread, Cell(bar)]

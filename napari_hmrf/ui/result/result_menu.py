@@ -44,6 +44,7 @@ from napari_hmrf.ui.result.result_messages import (
     saved,
     saved_uncertainty,
 )
+from napari_hmrf.ui.table_window import Cell, TableWindow
 
 # Alignment flag for the full width of the layout.
 _ANYWHERE = Qt.AlignmentFlag(0)
@@ -378,33 +379,13 @@ class ResultMenu:
         self, title: str, words: tuple[list[str], list[list[str]]], *below: QtWidgets.QWidget
     ) -> None:
         """Show a table in a separate window, with a note and buttons below."""
-        dialog = QtWidgets.QDialog(self._button.window(), windowTitle=title)
-        dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        table, layout = _table_of(*words), QtWidgets.QVBoxLayout(dialog)
-        layout.addWidget(table)
-        for each in below:
-            is_button = isinstance(each, QtWidgets.QPushButton)
-            layout.addWidget(
-                each, alignment=Qt.AlignmentFlag.AlignRight if is_button else _ANYWHERE
-            )
-        dialog.resize(table.horizontalHeader().length() + 40, 132 + 32 * table.rowCount())
-        dialog.show()
+        window = TableWindow(self._button.window(), title, below=below)
+        window.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        titles, rows = words
+        window.show_cells(titles, [[*map(Cell, row)] for row in rows])
+        window.show()
 
     def _choose_file(self, save: Callable[[str], Any], title: str, name: str, kinds: str) -> None:
         path, _ = QtWidgets.QFileDialog.getSaveFileName(self._button, title, name, kinds)
         if path:
             attempt(partial(save, path), self._show_message)
-
-
-def _table_of(titles: list[str], cells: list[list[str]]) -> QtWidgets.QTableWidget:
-    """Create a read-only table of texts."""
-    table = QtWidgets.QTableWidget(len(cells), len(titles))
-    table.setObjectName("measurements")
-    table.setHorizontalHeaderLabels(titles)
-    table.verticalHeader().hide()
-    table.setEditTriggers(table.EditTrigger.NoEditTriggers)
-    for number, row in enumerate(cells):
-        for column, words in enumerate(row):
-            table.setItem(number, column, QtWidgets.QTableWidgetItem(words))
-    table.resizeColumnsToContents()
-    return table

@@ -20,6 +20,7 @@ from napari_hmrf.layers.slice_view import directions_of
 from napari_hmrf.layers.viewer_layers import layer_painted, put_brush_away
 from napari_hmrf.posterior import Uncertainty
 from napari_hmrf.solver.optimizers import Monitor
+from napari_hmrf.study.session import Session
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.events import EventConnections, single_shot
 from napari_hmrf.ui.forms import attempt
@@ -50,6 +51,8 @@ class ResultView:
     form : ResultForm
     results : ResultLayers
         Results in the viewer.
+    session : Session
+        Session with the overlay.
 
     Attributes
     ----------
@@ -64,8 +67,11 @@ class ResultView:
     #: Emitted with the name of a long task, when it begins.
     working = Signal(str)
 
-    def __init__(self, native: Any, viewer: Any, form: ResultForm, results: ResultLayers) -> None:
+    def __init__(
+        self, native: Any, viewer: Any, form: ResultForm, results: ResultLayers, session: Session
+    ) -> None:
         self._viewer, self._form, self._results = viewer, form, results
+        self._session = session
         self._jobs = BackgroundJobs(self.message.emit)
         self.shown: MovingLayers | None = None
         #: Difference between the result and its reference, or None.
@@ -123,6 +129,11 @@ class ResultView:
         return words.DRAWING_OVERLAY if is_drawing else None
 
     @property
+    def _overlay(self) -> Any:
+        """Name of the chosen overlay."""
+        return self._session.display.overlay
+
+    @property
     def before(self) -> bool:
         """True if the undeformed image is shown; always False without a result."""
         return self.shown is not None and self.shown.layers.is_before
@@ -162,7 +173,7 @@ class ResultView:
             return
         attempt(shown.copy_image, self.message.emit)
         self._offer(shown)
-        if self._form.overlay.value != words.NOTHING:
+        if self._overlay != words.NOTHING:
             self._lay_over(chosen)
 
     # Actions
@@ -227,14 +238,14 @@ class ResultView:
     def _on_compared(self, comparison: Comparison) -> None:
         self.comparison = comparison
         self._show_distance()
-        if self._form.overlay.value == "difference":
+        if self._overlay == "difference":
             self._lay_over(chosen=True)
 
     def _on_reference(self, *_: Any) -> None:
         self._compare()
         if self.shown is not None:
             self._offer(self.shown)
-            if self._form.overlay.value == words.NOTHING:
+            if self._overlay == words.NOTHING:
                 self._lay_over(chosen=False)  # the difference was removed with its reference
 
     # Selection of the result
@@ -284,7 +295,7 @@ class ResultView:
         # Layers removed by the dock are no longer parts of a result.
         part = self.shown.layers.part_of(event.value)
         if part == "overlay":
-            self._form.overlay.value = words.NOTHING
+            self._session.choose_display(overlay=words.NOTHING)
         elif event.value is self.shown.arrows:
             if part is not None and self.shown.source in self._viewer.layers:
                 self.message.emit(messages.LOST.format(layer=event.value.name))
@@ -296,7 +307,7 @@ class ResultView:
         """Offer the overlays of a result, and select the visible overlay."""
         choice, layer_shown = self._form.overlay, shown.layers.layer("overlay")
         with choice.changed.blocked():
-            name = choice.value
+            name = self._overlay
             if name == words.NOTHING and layer_shown is not None and layer_shown.visible:
                 name = metadata_of(layer_shown)["kind"]  # left by a dock that was closed
             ways = directions_of(shown.answer.frame, self._viewer)
@@ -305,10 +316,11 @@ class ResultView:
                 name = words.NOTHING
             choice.choices = words.overlay_choices(shown.answer.unit, ways, compared)
             choice.value = name
+            self._session.choose_display(overlay=name)
 
     def _lay_over(self, chosen: bool) -> None:
         """Draw the selected overlay in the background; with `chosen`, make it visible."""
-        shown, name = self.shown, self._form.overlay.value
+        shown, name = self.shown, self._overlay
         if shown is None:
             return
         if name == "uncertainty" and shown.estimated is None:
@@ -341,7 +353,7 @@ class ResultView:
             self.cursor.refresh()
 
     def _on_not_estimated(self, reason: str) -> None:
-        self._form.overlay.value = words.NOTHING  # also cancels the estimate
+        self._session.choose_display(overlay=words.NOTHING)  # also cancels the estimate
         self.message.emit(f"{words.NOT_ESTIMATED} {reason}".rstrip())
 
     def _on_overlay(
