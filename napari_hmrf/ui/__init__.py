@@ -11,8 +11,8 @@ An edit passes through six steps:
    `layers.read`. After an edit to the drawing, only the drawing is replaced.
 3. *Submit.* The controller submits the study to the `PacedEngine` of `solving`, which solves the
    newest submitted study as soon as the last picture has been painted.
-4. *Answer.* The compute thread solves the study and deforms its image (`study.engine`). If the
-   answer is still current, the GUI thread receives it (`jobs`).
+4. *Answer.* The compute thread solves the study and deforms its image (`study.engine`). The GUI
+   thread receives the answer (`jobs`), and drops it if another study has replaced it (`solving`).
 5. *Show.* The controller immediately shows the image, the arrows and the paint (`motion.display`).
    After a pause in the edits, all layers of the result are created in the background
    (`layers.result_layers`).
