@@ -8,13 +8,14 @@ Elastic tissue moves the sites of its elements. In the paper's model, a componen
 equation if the site is in a clique that contributes to this component. A clique of the centred
 reading determines its middle site only, so the end of a line that is one site wide has no equation,
 although it is in a clique. In this reading, such lines therefore follow as a whole, and leave the
-solve, except pixels that are observed in all components. What follows relies on sites that are
-observed, or in the middle of a clique: in this reading, other sites stay at rest.
+solve, except pixels that are observed in all components that are in a clique. What follows relies
+on sites that are observed, or in the middle of a clique: in this reading, others stay at rest.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -173,16 +174,51 @@ def _tensors(precision: npt.NDArray[Any]) -> npt.NDArray[Any]:
 _Each = tuple[Followers | None, ...]
 
 
+class _Window(NamedTuple):
+    """Smallest box that contains all tissue; a box of one slice is an image.
+
+    Attributes
+    ----------
+    box : tuple of slice
+    shape : tuple of int
+    sites : ndarray of int
+        Flat index in the grid of each site of the box.
+    """
+
+    box: tuple[slice, ...]
+    shape: tuple[int, ...]
+    sites: Indices
+
+    @classmethod
+    def of(cls, tissue: Mask) -> _Window:
+        box = tuple(
+            slice(int(at.min()), int(at.max()) + 1) if len(at) else slice(0, 1)
+            for at in np.nonzero(tissue)
+        )
+        sites = np.arange(tissue.size).reshape(tissue.shape)[box]
+        if sites.ndim == 3 and 1 in sites.shape:
+            sites = sites.squeeze(sites.shape.index(1))
+        return cls(box, sites.shape, sites.ravel())
+
+    def view(self, values: Mask) -> Mask:
+        return np.ascontiguousarray(values[self.box].reshape(self.shape))
+
+    def placed(self, found: Followers) -> Followers:
+        """Return followers of the box with their indices in the grid."""
+        at = {name: self.sites[getattr(found, name)] for name in ("sites", "nearest", "sources")}
+        return replace(found, **at)
+
+
 def _of_cliques(problem: Problem, prior: SeilerPrior) -> tuple[Problem, _Each, _Each, Mask, int]:
     """Return the problem to solve, the followers of `Connected`, the cliques and the bridges."""
     tissue, spacing, bridges = problem.tissue, problem.spacing, 0
     blanket, solved = prior.conditional == "blanket", problem
-    # A volume of one slice is an image, and an image of one row a line; flat indices are the same.
-    flat = np.atleast_1d(tissue.squeeze())
+    window = _Window.of(tissue)
     follow = np.zeros(0, np.intp)
-    if not blanket and (lines := followers_of(flat)) is not None:
-        bridges, follow = lines.bridges, lines.sites
-        away = follow[~problem.known.reshape(-1, tissue.ndim)[follow].all(axis=1)]
+    if not blanket and (lines := followers_of(window.view(tissue))) is not None:
+        bridges, follow = lines.bridges, window.sites[lines.sites]
+        acts = in_cliques(tissue, spacing).reshape(tissue.ndim, -1)[:, follow].T
+        away = follow[(acts & ~problem.known.reshape(-1, tissue.ndim)[follow]).any(axis=1)]
         m = problem.stiffness.copy()
         m.reshape(-1)[away] = 0
         m.setflags(write=False)
@@ -208,14 +244,16 @@ def _of_cliques(problem: Problem, prior: SeilerPrior) -> tuple[Problem, _Each, _
 
     def find() -> tuple[_Each, _Each]:
         sure = np.ones_like(middle) if blanket else middle | known
-        elements = in_elements(flat)
+        within = window.view(tissue)
+        elements = in_elements(within)
 
         def of(connected: Mask) -> _Each:
-            shaped = (masks.reshape(-1, *flat.shape) for masks in (connected, sure))
-            return tuple(
-                find_followers(flat, each, each if blanket else elements, meant)
-                for each, meant in zip(*shaped, strict=True)
+            pairs = zip(map(window.view, connected), map(window.view, sure), strict=True)
+            found = (
+                find_followers(within, each, each if blanket else elements, meant)
+                for each, meant in pairs
             )
+            return tuple(None if each is None else window.placed(each) for each in found)
 
         # An observation that no clique and no other site takes is the displacement of its site.
         followers, alone = of(joined), known & ~cliques

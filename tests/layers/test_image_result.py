@@ -61,3 +61,13 @@ def test_no_part_is_shown_with_the_undeformed_image(shown):
     assert visible(result) == []
     result.show_before(False)
     assert visible(result) == ["image", "arrows"]
+
+
+def test_paint_which_belongs_to_the_whole_motion_is_hidden_at_a_part_of_it(shown):
+    result = shown("image", "painted")
+    result.show_part(50, {"image": np.zeros((4, 4))})
+    assert (result.layer("image").visible, result.layer("painted").visible) == (True, False)
+    assert result.percent == 50
+    result.show_whole()
+    assert result.layer("painted").visible
+    np.testing.assert_array_equal(result.layer("image").data, np.eye(4))

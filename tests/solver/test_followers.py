@@ -230,10 +230,11 @@ def test_a_line_pixel_observed_in_one_component_follows_in_the_other():
 @pytest.mark.parametrize("axis", [0, 1, 2])
 def test_a_volume_of_one_slice_moves_as_an_image(axis):
     tissue = np.ones((12, 12))
-    tissue[0, :4] = tissue[6, 6] = 0
+    tissue[0, :4] = tissue[6, 6] = tissue[8:, :4] = 0
+    tissue[10, 1:4] = 1  # a spur
     confidence, observed = np.zeros((2, 12, 12, 2))
-    confidence[-1] = confidence[:, -1] = confidence[4:6, 3:5] = 1
-    observed[4:6, 3:5] = 1, -0.5
+    confidence[-1] = confidence[:, -1] = confidence[4:6, 3:5] = confidence[10, 2] = 1
+    observed[4:6, 3:5] = observed[10, 2] = 1, -0.5
 
     def moved(m, **given):
         return solve(Problem(stiffness=m, **given), SeilerPrior(), optimizer=TIGHT, backend="cpu")
@@ -246,6 +247,24 @@ def test_a_volume_of_one_slice_moves_as_an_image(axis):
     volume = moved(np.expand_dims(tissue, axis), **deep).displacement
     flat = np.delete(volume.squeeze(axis), axis, axis=-1)
     np.testing.assert_allclose(flat, image, atol=2e-5)
+
+
+@pytest.mark.parametrize("void", [((0, 1), (0, 0)), ((1, 0), (0, 2)), ((2, 2), (1, 1))])
+@pytest.mark.parametrize("shape", [(1, 8), (8, 1), (2, 4)])
+def test_void_around_tissue_does_not_change_its_motion(shape, void):
+    rng = np.random.default_rng(0)
+    observed, confidence = rng.normal(size=(*shape, 2)), np.zeros((*shape, 2))
+    confidence.reshape(8, 2)[[0, 2, 7]] = 1
+
+    def moved(*border):
+        y, c = (np.pad(each, (*border, (0, 0))) for each in (observed, confidence))
+        problem = Problem(stiffness=np.pad(np.ones(shape), border), observed=y, confidence=c)
+        return solve(problem, SeilerPrior(), optimizer=TIGHT, backend="cpu").displacement
+
+    inside = tuple(
+        slice(before, before + size) for (before, _), size in zip(void, shape, strict=True)
+    )
+    np.testing.assert_allclose(moved(*void)[inside], moved((0, 0), (0, 0)), atol=2e-5)
 
 
 def test_the_strains_of_a_row_are_those_of_a_bar():
