@@ -68,7 +68,7 @@ class Connected(NamedTuple):
         Parameters
         ----------
         displacement : ndarray, shape (H, W, 2) or (D, H, W, 3)
-            Displacement of the solve.
+            Displacement of the solve, in the unit of the spacing.
         """
         flat = displacement.reshape(-1, displacement.shape[-1])
         if self.problem.tissue is not self.given.tissue:

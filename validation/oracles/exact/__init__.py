@@ -125,8 +125,9 @@ def exact_field(
         nowhere = np.zeros(0, np.int64)
         d = shortest(matrix, d, factors.motions, nowhere, np.zeros(0), np.zeros(0))
         motions, last = len(factors.motions), factors.last_step
-    field = d.reshape(problem.observed.shape)
+    field = d.reshape(problem.observed.shape) * problem.unit
     joined.extend(field)
+    field /= problem.unit
     return Exact(
         field,
         moving.reshape(problem.observed.shape),
