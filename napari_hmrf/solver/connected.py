@@ -175,50 +175,89 @@ _Each = tuple[Followers | None, ...]
 
 
 class _Window(NamedTuple):
-    """Smallest box that contains all tissue; a box of one slice is an image.
+    """Smallest box that contains all tissue.
 
     Attributes
     ----------
+    grid : tuple of int
+        Shape of the grid.
     box : tuple of slice
-    shape : tuple of int
-    sites : ndarray of int
-        Flat index in the grid of each site of the box.
     """
 
+    grid: tuple[int, ...]
     box: tuple[slice, ...]
-    shape: tuple[int, ...]
-    sites: Indices
 
     @classmethod
     def of(cls, tissue: Mask) -> _Window:
-        box = tuple(
-            slice(int(at.min()), int(at.max()) + 1) if len(at) else slice(0, 1)
-            for at in np.nonzero(tissue)
-        )
-        sites = np.arange(tissue.size).reshape(tissue.shape)[box]
-        if sites.ndim == 3 and 1 in sites.shape:
-            sites = sites.squeeze(sites.shape.index(1))
-        return cls(box, sites.shape, sites.ravel())
+        axes = range(tissue.ndim)
+        along = (tissue.any(axis=tuple(each for each in axes if each != axis)) for axis in axes)
+        ends = (np.flatnonzero(each)[[0, -1]] if each.any() else (0, 0) for each in along)
+        return cls(tissue.shape, tuple(slice(int(first), int(last) + 1) for first, last in ends))
 
     def view(self, values: Mask) -> Mask:
-        return np.ascontiguousarray(values[self.box].reshape(self.shape))
+        """Return the values in the box; a box of one slice is an image."""
+        within = np.ascontiguousarray(values[self.box])
+        is_slice = within.ndim == 3 and 1 in within.shape
+        return within.squeeze(within.shape.index(1)) if is_slice else within
+
+    def in_grid(self, sites: Indices) -> Indices:
+        """Return the flat indices in the grid of sites of the box."""
+        shape = tuple(each.stop - each.start for each in self.box)
+        at = zip(np.unravel_index(sites, shape), self.box, strict=True)
+        moved = tuple(each + box.start for each, box in at)
+        indices: Indices = np.ravel_multi_index(moved, self.grid).astype(np.intp)
+        return indices
 
     def placed(self, found: Followers) -> Followers:
         """Return followers of the box with their indices in the grid."""
-        at = {name: self.sites[getattr(found, name)] for name in ("sites", "nearest", "sources")}
-        return replace(found, **at)
+        return replace(
+            found,
+            sites=self.in_grid(found.sites),
+            nearest=self.in_grid(found.nearest),
+            sources=self.in_grid(found.sources),
+        )
+
+
+class _Lines(NamedTuple):
+    """Lines one site wide that follow blocks in the centred reading, and so leave the solve.
+
+    Attributes
+    ----------
+    sites : ndarray of int, shape (m,)
+    acts : ndarray of bool, shape (m, 2) or (m, 3)
+        Mask of their components that are in a clique.
+    bridges : int
+    """
+
+    sites: Indices
+    acts: Mask
+    bridges: int
+
+    @classmethod
+    def of(cls, tissue: Mask, window: _Window, spacing: tuple[float, ...]) -> _Lines | None:
+        found = followers_of(window.view(tissue))
+        if found is None:
+            return None
+        sites = window.in_grid(found.sites)
+        acts = in_cliques(tissue, spacing).reshape(tissue.ndim, -1)[:, sites].T
+        return cls(sites, acts, found.bridges)
 
 
 def _of_cliques(problem: Problem, prior: SeilerPrior) -> tuple[Problem, _Each, _Each, Mask, int]:
     """Return the problem to solve, the followers of `Connected`, the cliques and the bridges."""
-    tissue, spacing, bridges = problem.tissue, problem.spacing, 0
+    tissue, spacing = problem.tissue, problem.spacing
     blanket, solved = prior.conditional == "blanket", problem
-    window = _Window.of(tissue)
-    follow = np.zeros(0, np.intp)
-    if not blanket and (lines := followers_of(window.view(tissue))) is not None:
-        bridges, follow = lines.bridges, window.sites[lines.sites]
-        acts = in_cliques(tissue, spacing).reshape(tissue.ndim, -1)[:, follow].T
-        away = follow[(acts & ~problem.known.reshape(-1, tissue.ndim)[follow]).any(axis=1)]
+
+    def of_lines() -> tuple[_Window, _Lines | None]:
+        window = _Window.of(tissue)
+        return window, None if blanket else _Lines.of(tissue, window, spacing)
+
+    kind = blanket, spacing
+    window, lines = remembered((*kind, "lines"), (tissue,), of_lines)
+    bridges = 0 if lines is None else lines.bridges
+    if lines is not None:
+        known = problem.known.reshape(-1, tissue.ndim)[lines.sites]
+        away = lines.sites[(lines.acts & ~known).any(axis=1)]
         m = problem.stiffness.copy()
         m.reshape(-1)[away] = 0
         m.setflags(write=False)
@@ -231,10 +270,10 @@ def _of_cliques(problem: Problem, prior: SeilerPrior) -> tuple[Problem, _Each, _
             in_cliques(solved.tissue, spacing, middle=only) for only in (False, True)
         )
         joined = cliques.copy()
-        joined.reshape(tissue.ndim, -1)[:, follow] = False
+        if lines is not None:
+            joined.reshape(tissue.ndim, -1)[:, lines.sites] = False
         return cliques, middle, joined, bool(joined[:, tissue].all())
 
-    kind = blanket, spacing
     cliques, middle, joined, is_whole = remembered(kind, (tissue, solved.tissue), of_tissue)
     if is_whole:
         none = (None,) * tissue.ndim
@@ -260,7 +299,8 @@ def _of_cliques(problem: Problem, prior: SeilerPrior) -> tuple[Problem, _Each, _
         for each, component in zip(followers, alone, strict=True):
             if each is not None:
                 component.flat[each.sites] = False
-        return followers, of(joined | held | alone)
+        more = joined | held | alone
+        return followers, followers if np.array_equal(more, joined) else of(more)
 
     parts = tissue, solved.tissue, *held, *known
     followers, extension = remembered((*kind, "held"), parts, find)
