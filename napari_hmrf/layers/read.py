@@ -31,7 +31,7 @@ from napari_hmrf.layers.metadata import (
 )
 from napari_hmrf.layers.pixel_copy import LayerCopies
 from napari_hmrf.layers.result_layers import layer_on
-from napari_hmrf.layers.slice_view import View, check_size, frame_of, plane_shape
+from napari_hmrf.layers.slice_view import View, check_size, frame_of, plane_shape, view_of
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.volume_memory import STUDY, require_memory
@@ -50,6 +50,11 @@ _RIGHT_ANGLE = 0.1
 _NEGLIGIBLE = 0.1
 #: Largest number of arrows in a layer; a larger number of observations is stored as a field.
 _MOST_ARROWS = 2000
+#: Attributes of a `Request` that define each part of a study.
+_FIELDS: dict[str, tuple[str, ...]] = {
+    "motion": ("boundary", "rules", "confidence"),
+    "tissue": ("tissue", "materials", "curve"),
+}
 
 
 @dataclass(frozen=True)
@@ -407,13 +412,6 @@ def study_layers(study: Study) -> dict[str, Any]:
     return layers
 
 
-#: Attributes of a `Request` that define each part of a study.
-_FIELDS: dict[str, tuple[str, ...]] = {
-    "motion": ("boundary", "rules", "confidence"),
-    "tissue": ("tissue", "materials", "curve"),
-}
-
-
 class NoImageError(HmrfError):
     """There is neither an image nor tissue labels to deform."""
 
@@ -449,7 +447,7 @@ class StudyReader:
         is_painted = isinstance(session.choice.tissue_layer, Labels)
         if session.image is None and (session.image_is_gone or not is_painted):
             raise NoImageError("Choose an image, or open one (File > Open).")
-        request = Request.of(session, View.of(self._viewer.dims, session.choice.is_volume))
+        request = Request.of(session, view_of(self._viewer, session))
         return replace(request, drawing=self._session.get(_slice_of(request), Drawing()))
 
     def read(self, request: Request) -> Study:
@@ -516,10 +514,7 @@ class StudyReader:
         HmrfError
             If the slice cannot be read, or if all its pixels have the same value.
         """
-        image, view = (
-            self._session.image,
-            View.of(self._viewer.dims, self._session.choice.is_volume),
-        )
+        image, view = self._session.image, view_of(self._viewer, self._session)
         study = self.read(Request(image=image, view=view, drawing=Drawing()))
         assert study.intensities is not None
         return first_curve(study.intensities)

@@ -71,6 +71,9 @@ Name = (
 )
 #: Number of arrows of the observed motion along a side of the image.
 _ACROSS = 40
+#: Largest number of labels whose mean displacements are estimated. More labels would take longer
+#: than the samples of the patches.
+_MOST_LABELS = 10
 
 
 class LayerData(NamedTuple):
@@ -482,11 +485,6 @@ def _motion_layer(answer: PlacedSolution) -> LayerData | None:
     width = max(answer.shape) / 300
     look = {"vector_style": "arrow", "edge_color": label_colours.OBSERVED, "edge_width": width}
     return answer.layer("observed", arrows, "given motion", look, "vectors")
-
-
-#: Largest number of labels whose mean displacements are estimated. More labels would take longer
-#: than the samples of the patches.
-_MOST_LABELS = 10
 
 
 class CompleteResult(NamedTuple):

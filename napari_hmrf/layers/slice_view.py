@@ -16,6 +16,7 @@ from napari_hmrf.field.frame import PATIENT_AXES, Frame, as_tuples, is_flat
 from napari_hmrf.field.units import unit_factor, unit_name
 from napari_hmrf.layers.compat import camera_of
 from napari_hmrf.layers.metadata import file_axes_of
+from napari_hmrf.study.session import Session
 
 
 @dataclass(frozen=True)
@@ -103,6 +104,18 @@ def matrix_of(layer: Any) -> npt.NDArray[np.float64]:
     matrix[:ndim, :ndim] = np.stack(ends, axis=1) - origin[:, None]
     matrix[:ndim, ndim] = origin
     return matrix
+
+
+def view_of(viewer: Any, session: Session) -> View:
+    """Return the view of the visible slice, or of the volume if a volume is deformed.
+
+    Parameters
+    ----------
+    viewer : napari.Viewer or ViewerModel
+    session : Session
+        Session with the extent that is chosen.
+    """
+    return View.of(viewer.dims, session.choice.is_volume)
 
 
 def frame_of(layer: Any, view: View | None = None) -> Frame:

@@ -202,7 +202,7 @@ class ModelChoice:
 
 
 @dataclass(frozen=True)
-class Display:
+class DisplayChoice:
     """How studies are solved and shown: for all images of the viewer, and without undo steps.
 
     Attributes
@@ -291,23 +291,23 @@ class Session(EditHistory):
         deformed.
     slice : Part
         Key of the drawing of the selected slice; its layer is the layer that is deformed.
-    display : Display
+    display : DisplayChoice
     unsaved : UnsavedWork
     selected : Signal(object, object)
         Emitted with the image and the previous image when another image is selected.
-    displayed : Signal(Display)
+    displayed : Signal(DisplayChoice)
         Emitted when the display has changed.
     """
 
     selected = Signal(object, object)
-    displayed = Signal(Display)
+    displayed = Signal(DisplayChoice)
 
     def __init__(self, depth: int = DEPTH) -> None:
         super().__init__(depth)
         self.image: Hashable | None = None
         self.image_is_gone = False
         self.slice = Part("drawing", None)
-        self.display, self.unsaved = Display(), UnsavedWork(self)
+        self.display, self.unsaved = DisplayChoice(), UnsavedWork(self)
 
     # Selection
 

@@ -20,7 +20,7 @@ from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.painted_overlay import ShownDeformation
 from napari_hmrf.layers.read import NoImageError, StudyReader
 from napari_hmrf.layers.result_layers import CompleteResult
-from napari_hmrf.layers.slice_view import View, directions_of, plane_shown
+from napari_hmrf.layers.slice_view import View, directions_of, plane_shown, view_of
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.study.drag_preview import as_dragged, drag_preview
 from napari_hmrf.study.engine import Deformation
@@ -141,7 +141,7 @@ class Controller:
     @property
     def view(self) -> View:
         """View of the visible slice, or of the volume if a volume is deformed."""
-        return View.of(self._viewer.dims, self._session.choice.is_volume)
+        return view_of(self._viewer, self._session)
 
     @property
     def latest(self) -> CompleteResult | None:

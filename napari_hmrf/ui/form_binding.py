@@ -24,7 +24,7 @@ from napari_hmrf.layers.metadata import BOUNDARY, role_of
 from napari_hmrf.layers.slice_view import fits
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.layers.viewer_undo import undo_of
-from napari_hmrf.study.session import BRIGHTNESS, Display, ImageChoice, ModelChoice, Part
+from napari_hmrf.study.session import BRIGHTNESS, DisplayChoice, ImageChoice, ModelChoice, Part
 from napari_hmrf.tissue.material_presets import PLAIN, PRESETS, Preset
 from napari_hmrf.tissue.row_table import change
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
@@ -48,7 +48,7 @@ class FormBinding:
     fields : dict of str to ValueWidget
         Widget for each attribute of `ImageChoice`.
     display : dict of str to ValueWidget
-        Widget for each attribute of `Display`.
+        Widget for each attribute of `DisplayChoice`.
     automatic : bool
         True while the program, rather than the user, changes values.
     """
@@ -373,7 +373,7 @@ class FormBinding:
 
     # From the session to the forms
 
-    def _on_displayed(self, display: Display) -> None:
+    def _on_displayed(self, display: DisplayChoice) -> None:
         """Show how studies are displayed."""
         for name, field in self.display.items():
             if field.value != getattr(display, name):

@@ -10,7 +10,7 @@ from psygnal import Signal
 from napari_hmrf.field.animation import MARKS, Mark
 from napari_hmrf.layers.metadata import metadata_of
 from napari_hmrf.layers.result_layers import CompleteResult
-from napari_hmrf.layers.slice_view import plane_shown
+from napari_hmrf.layers.slice_view import plane_shown, view_of
 from napari_hmrf.study.models import larger_budget
 from napari_hmrf.study.session import Session
 from napari_hmrf.ui import messages
@@ -84,7 +84,7 @@ class WarningChip:
         dims, place, view = (
             self._viewer.dims,
             latest.moved.study.grid.known_place,
-            self._form.view(),
+            view_of(self._viewer, self._session),
         )
         if len(place.plane) == 2 or dims.ndisplay == 3:
             return ""

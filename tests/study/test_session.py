@@ -16,7 +16,7 @@ from napari_hmrf.layers.read import Request, study_from_layers, study_layers
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_undo import undo_of
 from napari_hmrf.study.models import SolverDetails
-from napari_hmrf.study.session import Display, ImageChoice, ModelChoice, Part, Session
+from napari_hmrf.study.session import DisplayChoice, ImageChoice, ModelChoice, Part, Session
 from napari_hmrf.tissue.material_presets import PLAIN
 from napari_hmrf.tissue.row_table import RowTable
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
@@ -178,7 +178,7 @@ def test_how_studies_are_displayed_is_common_to_all_images_and_not_a_step(dock):
     session.choose_display(live=False, device="cpu")
     assert (dock.live, dock.device) == (False, "cpu")
     dock.live = True
-    assert session.display == Display(live=True, device="cpu")
+    assert session.display == DisplayChoice(live=True, device="cpu")
     session.select(None)
     assert session.display.device == "cpu"
     assert session.next_undo is None

@@ -46,8 +46,6 @@ from napari_hmrf.ui.result.result_messages import (
 )
 from napari_hmrf.ui.table_window import Cell, TableWindow
 
-# Alignment flag for the full width of the layout.
-_ANYWHERE = Qt.AlignmentFlag(0)
 _FOR_IMAGES = "Fields (*.mha *.nrrd *.nii.gz *.h5)"
 _FOR_POINTS = "Fields (*.mha *.nrrd *.nii.gz)"
 _IMAGES = "Images (*.nii.gz *.nii *.mha *.nrrd *.tif)"
