@@ -291,6 +291,8 @@ class Session(EditHistory):
         deformed.
     slice : Part
         Key of the drawing of the selected slice; its layer is the layer that is deformed.
+    results : dict of hashable to result
+        Latest result of each deformed layer; its attribute `moved` is a `Deformation`.
     display : DisplayChoice
     unsaved : UnsavedWork
     selected : Signal(object, object)
@@ -307,6 +309,8 @@ class Session(EditHistory):
         self.image: Hashable | None = None
         self.image_is_gone = False
         self.slice = Part("drawing", None)
+        self._study: Study | None = None
+        self.results: dict[Hashable, Any] = {}
         self.display, self.unsaved = DisplayChoice(), UnsavedWork(self)
 
     # Selection
@@ -324,6 +328,48 @@ class Session(EditHistory):
             self.end()
         self.slice = Part("drawing", image, place)
         self.setdefault(self.slice, Drawing())
+
+    # Study and result
+
+    @property
+    def study(self) -> Study | None:
+        """Study of the selected slice as it was read last, with the current drawing, or None."""
+        study, drawing = self._study, self.drawing
+        if study is not None and study.motion.drawing is not drawing:
+            self._study = study = replace(study, motion=replace(study.motion, drawing=drawing))
+        return study
+
+    @study.setter
+    def study(self, study: Study | None) -> None:
+        self._study = study
+
+    @property
+    def result(self) -> Any:
+        """Latest result of the deformed layer, or None."""
+        return self.results.get(self.slice.layer)
+
+    @property
+    def result_here(self) -> Any:
+        """Latest result if it belongs to the grid of the study, else None."""
+        result = self.result
+        return None if result is None or not self.is_here(result.moved.study) else result
+
+    def is_here(self, study: Study) -> bool:
+        """Return whether a study is on the grid of the selected study."""
+        return self.study is not None and self.study.grid == study.grid
+
+    @property
+    def is_fresh(self) -> bool:
+        """True if the latest result belongs to the study."""
+        result, study = self.result, self.study
+        return result is not None and study is not None and bool(result.moved.study.same_as(study))
+
+    def shows(self, study: Study) -> bool:
+        """Return whether the latest result belongs to a study, except for the solver's settings."""
+        if self.result is None:
+            return False
+        moved = replace(self.result.moved.study, optimizer=study.optimizer)
+        return bool(moved.same_as(study))
 
     # Display
 
@@ -558,6 +604,7 @@ class Session(EditHistory):
         """Drop the parts of a removed layer, and remove the layer from all choices."""
         if layer is self.image:
             self.select(None, is_gone=True)
+        self.results.pop(layer, None)
         self.drop(lambda part: part.layer is layer)
         for part in self.parts:
             if part.kind == "choice":

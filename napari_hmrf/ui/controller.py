@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import logging
 import math
-import weakref
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from napari.layers import Layer
 from napari.utils.notifications import show_error, show_warning
 from psygnal import Signal
 from qtpy.QtWidgets import QWidget
@@ -52,9 +50,8 @@ class Controller:
     native : QWidget
         The dock.
     viewer : napari.Viewer or ViewerModel
-    form, binding, pointer : DockForm, FormBinding, Pointer
-        Views of the study, also available as attributes.
-    session : Session
+    form, binding, pointer, session : DockForm, FormBinding, Pointer, Session
+        Views of the study, and the session, also available as attributes.
 
     Attributes
     ----------
@@ -94,15 +91,11 @@ class Controller:
         session: Session,
     ) -> None:
         self._viewer, self.form, self.binding, self.pointer = viewer, form, binding, pointer
-        self._session = session
+        self.session = session
         self._is_released = False
         # True if the choices could not be read, so that the last study is not the current one.
         self._is_unread = False
         self.reader = StudyReader(viewer, session, binding.settle)
-        # Study that was read last; its drawing is updated when it is asked for.
-        self._read: Study | None = None
-        self._results: weakref.WeakKeyDictionary[Layer, CompleteResult]
-        self._results = weakref.WeakKeyDictionary()
         self.settling = False
         self.engine = PacedEngine(self._on_answer, self._on_complete)
         self._submitted: Study | None = None
@@ -126,34 +119,9 @@ class Controller:
     # State
 
     @property
-    def study(self) -> Study | None:
-        """Study that was read last, with the current drawing; None if no study could be read."""
-        read, drawing = self._read, self._session.drawing
-        if read is not None and read.motion.drawing is not drawing:
-            self._read = read = replace(read, motion=replace(read.motion, drawing=drawing))
-        return read
-
-    @property
-    def source(self) -> Layer | None:
-        """Layer that is deformed, or None."""
-        return self._session.slice.layer
-
-    @property
     def view(self) -> View:
         """View of the visible slice, or of the volume if a volume is deformed."""
-        return view_of(self._viewer, self._session)
-
-    @property
-    def latest(self) -> CompleteResult | None:
-        """Latest complete result of the deformed layer, or None."""
-        return None if self.source is None else self._results.get(self.source)
-
-    @property
-    def latest_here(self) -> CompleteResult | None:
-        """Latest result if it belongs to the current slice or volume, else None."""
-        latest, study = self.latest, self.study
-        here = latest is not None and study is not None and latest.moved.study.grid == study.grid
-        return latest if here else None
+        return view_of(self._viewer, self.session)
 
     @property
     def busy(self) -> bool:
@@ -167,19 +135,6 @@ class Controller:
         # During a drag, the layers of a complete result are not drawn.
         resting = self._complete_timer.isActive() and not self.pointer.tool.is_dragging
         return resting or self.engine.busy or self.engine.completing
-
-    @property
-    def fresh(self) -> bool:
-        """True if the latest result belongs to the current study."""
-        latest, study = self.latest, self.study
-        return latest is not None and study is not None and latest.moved.study.same_as(study)
-
-    def shows(self, study: Study) -> bool:
-        """Return whether the latest result belongs to a study, except for the solver's settings."""
-        latest = self.latest
-        if latest is None:
-            return False
-        return replace(latest.moved.study, optimizer=study.optimizer).same_as(study)
 
     # Actions
 
@@ -202,7 +157,7 @@ class Controller:
             self._report_failure(error)
             return False
         self._is_unread = False
-        if self._session.display.live or self.pointer.active:
+        if self.session.display.live or self.pointer.active:
             self._follow(study)
         else:
             self._failure = ""
@@ -221,7 +176,7 @@ class Controller:
             return
         self._is_unread = False
         self.settling, self._submitted = True, study
-        self.engine.submit(study, self._session.display.device, cold_start=True)
+        self.engine.submit(study, self.session.display.device, cold_start=True)
         self.progress.start("Deforming", at_once=True)
 
     def cancel(self) -> None:
@@ -230,16 +185,19 @@ class Controller:
         self.engine.cancel()
         self._submitted = None
         if settling or going_on:
-            edited = self.latest is not None or (self.study is not None and self.study.moves)
+            session = self.session
+            study = session.study
+            edited = session.result is not None or (study is not None and study.moves)
             self._stop()
             self._show_latest()
-            self.message.emit(messages.BEHIND if edited and not self.fresh else messages.CANCELLED)
+            is_behind = edited and not session.is_fresh
+            self.message.emit(messages.BEHIND if is_behind else messages.CANCELLED)
         if settling:
             self.finished.emit(None)
 
     def complete(self, *_: Any) -> None:
         """Draw all layers of the latest result, once no drag or solve is in progress."""
-        study = self.study
+        study = self.session.study
         if study is None:
             return
         if self.pointer.tool.is_dragging or self.engine.busy:
@@ -256,7 +214,7 @@ class Controller:
 
     def follow_edit(self) -> None:
         """Read the study again and solve it, even if *Live* is off."""
-        if self.refresh() and (study := self.study) is not None:
+        if self.refresh() and (study := self.session.study) is not None:
             self._follow(study)
 
     def refuse(self, error: Exception) -> None:
@@ -270,15 +228,11 @@ class Controller:
         show = show_warning if isinstance(error, HmrfError | ValueError) else show_error
         show(reason)
 
-    def is_current(self, study: Study) -> bool:
-        """Return whether a study is on the visible slice or volume of the chosen image."""
-        return self.study is not None and self.study.grid == study.grid
-
     def show_again(self) -> None:
         """Show the latest result, or the undeformed image, in place of unfinished work."""
-        if self.latest_here is not None:
+        if self.session.result_here is not None:
             self._show_latest()
-        elif (study := self.study) is not None:
+        elif (study := self.session.study) is not None:
             still = Deformation(study, image=study.pictures.image)
             self.pointer.display.discard(still)
 
@@ -296,7 +250,7 @@ class Controller:
         self.reader.invalidate()  # later changes to layers are not tracked
         self.progress.release()
         self.curve_layer.show(None)
-        self._read = self._submitted = None
+        self.session.study = self._submitted = None
         self._failure, self._report, self._is_unread = "", "", False
         self.pointer.select_slice(None)
         self.latest_changed.emit()
@@ -320,18 +274,19 @@ class Controller:
         study = self.reader.read(request)
         refuse_unsupported(study)
         self._select_slice(study, request.layers[0])
-        return replace(study, motion=replace(study.motion, drawing=self._session.drawing))
+        return replace(study, motion=replace(study.motion, drawing=self.session.drawing))
 
     def _select_slice(self, study: Study, source: Any) -> None:
         """Make a study current, and select the drawing of its slice."""
-        before, place = self._read, study.grid
-        is_other = before is None or source is not self.source or before.grid != place
+        session, place = self.session, study.grid
+        is_other_image = source is not session.slice.layer
+        is_other = is_other_image or not session.is_here(study)
         if is_other and self.settling:
             self.cancel()  # the result would belong to another slice or image
         self.pointer.tissue = self.form.tissue.layer
-        self._read = study
+        session.study = study
         if is_other:
-            if source is not self.source:
+            if is_other_image:
                 self._report = ""
             self._submitted = None
             self.pointer.select_slice(study, source)
@@ -345,12 +300,12 @@ class Controller:
 
     def _on_drawn(self) -> None:
         """Solve for the changed drawing without reading the layers again."""
-        if self._refresh_timer.isActive() and (self._session.display.live or self.pointer.active):
+        if self._refresh_timer.isActive() and (self.session.display.live or self.pointer.active):
             return  # the refresh reads the other changes of the same undo step, and the drawing
         if self._failure:  # the last study that was read has other settings than the form
             self.follow_edit()
             return
-        study = self.study
+        study = self.session.study
         if study is not None:
             self._follow(study)
 
@@ -374,10 +329,10 @@ class Controller:
             plane = plane_shown(place, view) if in_slices else None
             cut = self.pointer.display.cut if volume and not in_slices else None
             study, preview = as_dragged(study), drag_preview(study, plane, cut)
-        self.engine.submit(study, self._session.display.device, preview=preview)
+        self.engine.submit(study, self.session.display.device, preview=preview)
 
     def _on_answer(self, state: ShownDeformation) -> None:
-        study, moved = self.study, state.moved
+        study, moved = self.session.study, state.moved
         if study is None or moved.study.grid != study.grid:
             return
         self.progress.restart()
@@ -405,10 +360,10 @@ class Controller:
             self.refresh()
         if not self._is_unread:
             self._failure = ""
-        study = self.study
+        study = self.session.study
         if study is None or done.moved.study.grid != study.grid:
             return
-        self._results[self.source] = done
+        self.session.results[self.session.slice.layer] = done
         self._report = messages.report(done)
         self._show(done)
         self.progress.restart()
@@ -435,7 +390,7 @@ class Controller:
         The metadata of each layer records whether the result is up to date.
         """
         for made in () if done is None else done.outputs.layers.values():
-            made.attributes["metadata"][METADATA]["inputs_changed"] = not self.fresh
+            made.attributes["metadata"][METADATA]["inputs_changed"] = not self.session.is_fresh
         self.pointer.display.finish(done)
 
     def _show_latest(self) -> None:
@@ -443,19 +398,20 @@ class Controller:
         moved = self.pointer.display.moved
         if moved is not None and moved.solution is not None:
             self._complete_timer.stop()
-            self._show(self.latest_here)
+            self._show(self.session.result_here)
             self.pointer.draw()
 
     @property
     def _state(self) -> str:
         """Message about the current study, or ""."""
-        latest, study = self.latest, self.study
+        session = self.session
         if self._failure:
-            stays = "" if latest is None else messages.STAYS
+            stays = "" if session.result is None else messages.STAYS
             return f"The tissue was not updated. {self._failure} {stays}".rstrip()
         if self.pointer.active:
             return ""
-        if latest is None or study is None or self._session.display.live or self.fresh:
+        is_idle = session.result is None or session.study is None
+        if is_idle or session.display.live or session.is_fresh:
             return self._report
         return messages.CHANGED
 
@@ -475,7 +431,7 @@ class Controller:
 
     def _clear_result(self) -> None:
         """Reset to the undeformed state, and discard the result."""
-        before, self._failure = self._results.pop(self.source, None), ""
+        before, self._failure = self.session.results.pop(self.session.slice.layer, None), ""
         self._report = self._report if before is None else messages.STILL
         self.latest_changed.emit()
         self._emit_message()

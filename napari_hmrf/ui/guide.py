@@ -40,7 +40,7 @@ class Guide:
         self._drawn: Scene | None = None
         self._introduction = ""
         self._is_painting = False
-        self._chip = WarningChip(viewer, form, undo.session, lambda: controller.latest_here)
+        self._chip = WarningChip(viewer, form, undo.session)
         self._chip.message.connect(self._on_study)
         for table in form.tables:
             table.message.connect(self._on_table)
@@ -90,7 +90,7 @@ class Guide:
         tissue, boundary = form.tissue.choice.value, form.motion.boundary.choice.value
         return Situation(
             has_image=self._session.image is not None,
-            is_painted=self._session.image is None and self._controller.study is not None,
+            is_painted=self._session.image is None and self._session.study is not None,
             has_layers=bool(viewer.layers),
             lacks_tissue=tissue is None,
             lacks_boundary=boundary is None,
@@ -110,7 +110,7 @@ class Guide:
             paused=self._paused,
             is_painting=self._is_painting,
             deform=form.footer.deform.text,
-            latest=self._controller.latest_here,
+            latest=self._session.result_here,
             overlay=self._chip.overlay,
             model=form.model.model.value,
             has_selection=tool.selected is not None,
@@ -181,7 +181,7 @@ class Guide:
     def _paused(self) -> str:
         """Message about how to resume drawing if drawing has stopped, else ""."""
         arrows = self._pointer.display.arrows
-        if arrows.former is None or self._controller.study is None or self._pointer.active:
+        if arrows.former is None or self._session.study is None or self._pointer.active:
             return ""
         return motion_messages.ARROWS_GONE if arrows.layer is None else motion_messages.OFF
 

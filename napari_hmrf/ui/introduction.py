@@ -63,7 +63,7 @@ class Introduction:
             self._controller.show_before(False)
 
     def _on_slice(self, study: Study) -> None:
-        image = self._controller.source
+        image = self._controller.session.slice.layer
         self.end()
         if image is None or image in self._known or _plugin_of(image) != _PLUGIN:
             return
@@ -72,7 +72,7 @@ class Introduction:
             self._start_timer.start()
 
     def _on_start(self) -> None:
-        study = self._controller.study
+        study = self._controller.session.study
         moves = study is not None and study.moves
         self._is_open, self._study = True, None
         self._guide.introduction = motion_messages.HERE_OR_PLAY if moves else motion_messages.HERE

@@ -77,7 +77,7 @@ class PairJob:
         second = form.result.second.value
         if second is None or not self._controller.refresh():
             return None
-        study = self._controller.study
+        study = self._controller.session.study
         assert study is not None
         try:
             picture = second_picture(

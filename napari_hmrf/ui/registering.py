@@ -119,7 +119,7 @@ class Registering:
 
     def _follow(self, moved: Deformation, cancel: threading.Event) -> None:
         """Show the image as the registration has moved it so far."""
-        if self.job.busy and not cancel.is_set() and self._controller.is_current(moved.study):
+        if self.job.busy and not cancel.is_set() and self._session.is_here(moved.study):
             self._controller.pointer.show(ShownDeformation(moved))
 
     def _finish(self, part: Part, second: Any, found: RegisteredStudy) -> None:

@@ -208,7 +208,7 @@ class SecondImage:
         if self._is_outdated:
             subject = f"{subject} in the last result, before the refused edit"
         clauses = [f"{subject}: {apart}", *drift_clauses(solution)]
-        latest = self._controller.latest
+        latest = self._session.result
         if latest is not None and any(kind_of(note) == HELD_EDGE for note in latest.notes):
             clauses.append(_HINDERED)
         return "; ".join(clauses)
@@ -238,7 +238,7 @@ class SecondImage:
 
     def _drawn_pairs(self, answer: PlacedSolution) -> LandmarkPairs | None:
         """Return the landmarks of the drawing, or None."""
-        study = self._controller.study
+        study = self._session.study
         if study is None or study.grid.place != answer.frame:  # another image
             return None
         marks = (mark for mark in study.motion.drawing.marks if isinstance(mark, Landmark))

@@ -175,13 +175,13 @@ class SoftTissue(DockValues):
     @property
     def solution(self) -> Solution | None:
         """Solution of the latest complete result, or None."""
-        latest = self._controller.latest
+        latest = self.session.result
         return None if latest is None else latest.outputs.solution
 
     @property
     def shown(self) -> Study | None:
         """Study of the latest result, or None."""
-        latest = self._controller.latest
+        latest = self.session.result
         return None if latest is None else latest.moved.study
 
     @property

@@ -184,7 +184,7 @@ class Unsaved:
         The field of a solve that is still being continued is saved, too.
         """
         study = self._dock.study
-        solution = self._dock.solution if self._controller.shows(study) else None
+        solution = self._dock.solution if self._session.shows(study) else None
         written = write_study(path, study, solution, overlay=self._overlay, second=self._second)
         apart, here = self._landmarks_apart(study), self._session.slice
         has_slices = self._controller.form.extent.has_slices
@@ -403,7 +403,7 @@ class Unsaved:
         if slice_part not in self._work.slices:
             self._drop_recovery(slice_part)  # all edits were undone
         else:
-            study = self._controller.reader.read_partly(self._controller.study)
+            study = self._controller.reader.read_partly(self._session.study)
             if study is None:
                 return
             try:

@@ -228,7 +228,7 @@ class ViewerWatch:
         self._binding.refresh()
         if layer is display.arrows.former and not display.quiet:
             self._guide.show_message(ARROWS_GONE, why="step")
-        if layer is controller.source:
+        if layer is self._session.slice.layer:
             self._rest()
         elif was_read and controller.settling:
             controller.cancel()
@@ -241,7 +241,7 @@ class ViewerWatch:
         napari cannot restore a removed layer.
         """
         tissue, boundary = self._painted
-        study, is_source = self._controller.study, layer is self._controller.source
+        study, is_source = self._session.study, layer is self._session.slice.layer
         if is_source and study is not None and study.motion.drawing.marks:
             recovered = self._session.unsaved.saved_files
             is_kept = any(part.layer is layer for part in recovered)
@@ -253,7 +253,7 @@ class ViewerWatch:
     def _on_left(self) -> None:
         """Remove the results of removed images, and the tools if no image is left."""
         self._results.remove_orphans()
-        if self._session.image is None and self._controller.study is None:
+        if self._session.image is None and self._session.study is None:
             self._pointer.leave()
             self.update_mouse_mode()
         if self._removal_message:
@@ -328,7 +328,7 @@ class ViewerWatch:
 
     def _show_before(self, before: bool) -> None:
         """Show the undeformed image with its paint, or the deformed image without paint."""
-        self._results.show_before(self._controller.source, before)
+        self._results.show_before(self._session.slice.layer, before)
         self._results.hide_paint()
         self._on_before()
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 from psygnal import Signal
@@ -26,23 +25,14 @@ class WarningChip:
     viewer : napari.Viewer or ViewerModel
     form : DockForm
     session : Session
-        Session with the overlay.
-    latest : callable
-        Returns the latest result of the current study, or None.
+        Session with the overlay and the latest result.
     """
 
     #: Emitted with a message for the user.
     message = Signal(str)
 
-    def __init__(
-        self,
-        viewer: Any,
-        form: DockForm,
-        session: Session,
-        latest: Callable[[], CompleteResult | None],
-    ) -> None:
+    def __init__(self, viewer: Any, form: DockForm, session: Session) -> None:
         self._viewer, self._form, self._session = viewer, form, session
-        self._latest = latest
         form.footer.chip.clicked.connect(self._on_chip)
         form.footer.other.clicked.connect(self._take_offer)
 
@@ -57,7 +47,7 @@ class WarningChip:
 
     def _take_offer(self) -> None:
         model = self._form.model
-        offer = messages.offer_of(self._latest(), model.model.value)
+        offer = messages.offer_of(self._session.result_here, model.model.value)
         if offer == messages.CONTINUE:
             details = model.in_detail
             details["budget"].value = larger_budget(details["budget"].value)
@@ -66,7 +56,8 @@ class WarningChip:
 
     def _on_chip(self) -> None:
         """Emit the warning, and show the next mark: folds, then overlaps, then no mark."""
-        latest, slice_message, choose = self._latest(), "", self._session.choose_display
+        latest, slice_message = self._session.result_here, ""
+        choose = self._session.choose_display
         chosen = self._session.display.overlay
         shown = self.overlay
         mark = None if latest is None else messages.next_mark(latest.outputs, shown)

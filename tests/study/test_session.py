@@ -1,6 +1,7 @@
 """User actions on a `Session`, with and without a window."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,8 @@ from napari_hmrf.layers.metadata import table_of
 from napari_hmrf.layers.read import Request, study_from_layers, study_layers
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_undo import undo_of
+from napari_hmrf.solver.optimizers import Multigrid
+from napari_hmrf.study.engine import Deformation
 from napari_hmrf.study.models import SolverDetails
 from napari_hmrf.study.session import DisplayChoice, ImageChoice, ModelChoice, Part, Session
 from napari_hmrf.tissue.material_presets import PLAIN
@@ -288,6 +291,33 @@ def test_a_drag_ends_as_a_step_when_another_slice_is_selected(layers):
     model.undo()
     model.select_slice(layers["image"], "first")
     assert not model.drawing.marks
+
+
+def test_a_result_is_fresh_until_its_study_changes(layers):
+    session, image = Session(), layers["image"]
+    session.select(image)
+    session.select_slice(image)
+    assert (session.study, session.result, session.is_fresh) == (None, None, False)
+    session.study = study = study_of(session)
+    result = session.results[image] = SimpleNamespace(moved=Deformation(study))
+    assert session.is_fresh
+    assert session.result_here is result
+    faster = replace(study, optimizer=Multigrid(budget=1))
+    session.study = faster
+    assert not session.is_fresh
+    assert session.shows(faster)
+    session.study = study
+    session.draw(Drawing((PULL,)), "drew an arrow")
+    assert session.study.motion.drawing.marks == (PULL,)
+    assert not session.is_fresh
+    assert not session.shows(session.study)
+    session.undo()
+    assert session.is_fresh
+    session.study = replace(study, grid=replace(study.grid, place=None))
+    assert session.result is result
+    assert session.result_here is None
+    session.remove(image)
+    assert session.result is None
 
 
 def test_a_table_of_the_model_is_stored_with_its_layer(layers):
