@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -45,6 +45,19 @@ _LOOKS = {
 }
 #: Percentage of the complete deformation.
 _WHOLE = 100
+#: Why a layer is shown undeformed: the user compares it with the result, it is a sample that is
+#: introduced, the user paints on it, or another image is chosen.
+Reason = Literal["comparison", "introduction", "paint", "other image"]
+
+
+@dataclass(eq=False)
+class _Look:
+    """How a deformed layer is shown in all its slices."""
+
+    #: Axes of the slice or volume that the user is working on; None for a result from a file.
+    plane: tuple[int, ...] | None = None
+    #: Why the undeformed layer is shown instead of its results; empty if the results are shown.
+    undeformed: set[Reason] = field(default_factory=set)
 
 
 @dataclass(eq=False)
@@ -84,17 +97,10 @@ class Result:
         Deformed layer; for a result from a file, the arrow layer that contains the result.
     where : str
         Name of the slice, as in the metadata of the layers.
+    look : _Look
+        How the deformed layer is shown.
     paint_hidden : callable
         Called with the painted layers that were hidden for the deformed image.
-    before_changed : callable
-        Called after `is_before` has changed.
-
-    Attributes
-    ----------
-    is_before : bool
-        True while the undeformed image is shown instead of the result.
-    is_away : bool
-        True while the result is hidden because the user is working on another extent of the image.
     """
 
     #: True if the complete deformation is shown.
@@ -107,15 +113,14 @@ class Result:
         layers: ViewerLayers,
         anchor: Any,
         where: str,
-        paint_hidden: Callable[[list[Any]], object] = lambda _: None,
-        before_changed: Callable[[], object] = lambda: None,
+        look: _Look,
+        paint_hidden: Callable[[list[Any]], object],
     ) -> None:
         self._layers, self._viewer, self._paint_hidden = layers, layers.viewer, paint_hidden
-        self._before_changed = before_changed
+        self._look = look
         #: Weak reference to the deformed layer.
         self.anchor: Callable[[], Any] = weakref.ref(anchor)
         self.where = where
-        self.is_before = self.is_away = False
         self._frame: Frame | None = None
         self._states: dict[Part, _PartState] = {}
 
@@ -151,6 +156,19 @@ class Result:
         return any(layer.visible for _, layer, _ in self._present_layers())
 
     @property
+    def is_before(self) -> bool:
+        """True while the undeformed image is shown instead of the result."""
+        present = self._present_layers()
+        wanted = (state.current and self._layers.is_wanted(layer) for _, layer, state in present)
+        return bool(self._look.undeformed) and any(wanted)
+
+    @property
+    def is_away(self) -> bool:
+        """True while the user is working on another extent of the image, slice or volume."""
+        frame, plane = self._frame, self._look.plane
+        return frame is not None and plane is not None and frame.plane != plane
+
+    @property
     def percent(self) -> int:
         """Displayed percentage of the deformation, or 0 if no image or overlay is visible."""
         pictures = (
@@ -163,7 +181,7 @@ class Result:
     def adopt(self, part: Part, layer: Any) -> None:
         """Use an existing layer as the layer of a part."""
         self._states[part] = _PartState(weakref.ref(layer), layer.name, layer.name)
-        self._update_visibility()
+        self.update_visibility()
 
     def put(self, part: Part, made: LayerData, source: Any = None, show: bool = True) -> None:
         """Add or update the layer of a part.
@@ -191,8 +209,6 @@ class Result:
         """Update all layers of the result; see `ResultLayers.show`."""
         quick = moving and frame == self._frame
         self._frame, self.moving, self._is_whole = frame, moving, True
-        was_before, is_painted = self.is_before, layer_painted(self._viewer) is not None
-        self.is_before = was_before or (is_painted and bool(layers))
         for part, made in layers.items():
             if not (quick and self._overwrite(part, made)):
                 self._update_or_replace(part, made)
@@ -201,9 +217,7 @@ class Result:
         arrows = self.layer("arrows")
         if arrows is not None and not (moving or self.holds("arrows")):
             add_metadata(arrows, answer=None, solution=None)  # the tissue is undeformed again
-        self._update_visibility()
-        if self.is_before != was_before:
-            self._before_changed()
+        self.update_visibility()
 
     def show_part(self, percent: int, parts: Mapping[Part, Any]) -> None:
         """Show a fraction of the deformation, until `show_whole` is called or a result arrives.
@@ -230,7 +244,7 @@ class Result:
             state.writable = None
             # The metadata record the percentage, in case the user saves the layer.
             add_metadata(layer, percent=percent)
-        self._update_visibility()
+        self.update_visibility()
 
     def show_whole(self) -> None:
         """Restore the layers changed by `show_part`, unless their data were changed afterwards."""
@@ -243,7 +257,7 @@ class Result:
                 elif _percent_of(layer) != _WHOLE:
                     self.set_wanted(part, False)
             state.part = state.complete = None
-        self._update_visibility()
+        self.update_visibility()
 
     # Visibility
 
@@ -253,7 +267,7 @@ class Result:
             state = self._states[part]
             state.current = state.current or is_wanted
             self._layers.want(layer, wanted=is_wanted)
-            self._update_visibility()
+            self.update_visibility()
 
     def drop(self, part: Part) -> None:
         """Remove the layer of a part; if the user has renamed the layer, only hide it."""
@@ -264,7 +278,7 @@ class Result:
             else:
                 self._layers.want(layer, wanted=False)
             if part in ("image", "overlay"):
-                self._update_visibility()  # paint may be visible again
+                self.update_visibility()  # paint may be visible again
 
     def drop_paint(self, besides: Collection[Part] = ()) -> None:
         """Remove the paint layers, except those of the parts in `besides`."""
@@ -278,23 +292,6 @@ class Result:
         # The anchor of a result from a file is its arrow layer; hide the deformed image as well.
         if self.anchor() is self.layer("arrows"):
             self.set_wanted("image", False)
-
-    def show_before(self, before: bool) -> None:
-        """Hide the result to show the undeformed image, or show the result again.
-
-        While the user paints tissue or boundaries, the undeformed image stays visible.
-        """
-        stays = self.is_before and layer_painted(self._viewer) is not None
-        before = stays or (before and (self.is_before or self.visible))
-        if before != self.is_before:
-            self.is_before = before
-            self._update_visibility()
-            self._before_changed()
-
-    def update_extent(self, place: Frame) -> None:
-        """Show the result if the user is working on its extent of the image; otherwise hide it."""
-        self.is_away = self._frame is not None and self._frame.plane != place.plane
-        self._update_visibility()
 
     def remove(self) -> None:
         """Remove the layers from the viewer, except layers that the user has renamed."""
@@ -310,7 +307,7 @@ class Result:
             if (layer := self.layer(part)) is not None:
                 yield part, layer, state
 
-    def _update_visibility(self) -> None:
+    def update_visibility(self) -> None:
         """Hide the layers that do not belong to what is shown now."""
         paint, overlay = (PAINTED, CONFIDENCE), self.layer("overlay")
         # Two colour scales on one image, and their legends, could be mistaken for each other.
@@ -321,7 +318,7 @@ class Result:
             [
                 layer
                 for part, layer, state in self._present_layers()
-                if self.is_before
+                if self._look.undeformed
                 or self.is_away
                 or not state.current
                 or (part in paint and not self._is_whole)
@@ -477,6 +474,7 @@ class ResultLayers:
         self._layers = layers_of(viewer)
         self._viewer = self._layers.viewer
         self._results: list[Result] = []
+        self._looks: weakref.WeakKeyDictionary[Any, _Look] = weakref.WeakKeyDictionary()
 
     @property
     def sources(self) -> list[Any]:
@@ -488,8 +486,8 @@ class ResultLayers:
         for result in self._results:
             if result.anchor() is source and result.where == where:
                 return result
-        callbacks = self.paint_hidden.emit, self.before_changed.emit
-        self._results.append(Result(self._layers, source, where, *callbacks))
+        look, report = self._look_of(source), self.paint_hidden.emit
+        self._results.append(Result(self._layers, source, where, look, report))
         return self._results[-1]
 
     def pictures_of(self, source: Any) -> list[Any]:
@@ -511,8 +509,9 @@ class ResultLayers:
 
         The extent is a slice or the volume. Only results of the layer `source` are affected.
         """
+        self._look_of(source).plane = place.plane
         for result in [each for each in self._results if each.anchor() is source]:
-            result.update_extent(place)
+            result.update_visibility()
             if result.is_away or result.where == place.slice_name:
                 self.changed.emit(result)
 
@@ -546,15 +545,37 @@ class ResultLayers:
 
         Results from files are not affected.
         """
-        for result in self._results:
-            if not isinstance(result.anchor(), Vectors):
-                result.show_before(result.anchor() is not source)
+        for layer in [*self._looks]:
+            if layer is source:
+                self.show_deformed(layer)
+            elif not isinstance(layer, Vectors):
+                self.show_undeformed(layer, "other image")
 
-    def show_before(self, source: Any, before: bool) -> None:
-        """Show an undeformed layer in all its slices, or show its results again."""
-        for result in self._results:
-            if result.anchor() is source:
-                result.show_before(before)
+    def show_undeformed(self, source: Any, reason: Reason) -> None:
+        """Show an undeformed layer in all its slices, until `show_deformed`."""
+        self._set_undeformed(source, {*self._look_of(source).undeformed, reason})
+
+    def show_deformed(self, source: Any, *reasons: Reason) -> None:
+        """Show the results of a layer again, unless it is shown undeformed for other reasons.
+
+        By default, all reasons end. However, the undeformed layer stays visible while the user
+        paints on it.
+        """
+        before = self._look_of(source).undeformed
+        paint = {"paint"} if layer_painted(self._viewer) is not None else set()
+        self._set_undeformed(source, before - set(reasons) if reasons else before & paint)
+
+    def _look_of(self, source: Any) -> _Look:
+        return self._looks.setdefault(source, _Look())
+
+    def _set_undeformed(self, source: Any, reasons: set[Reason]) -> None:
+        look = self._look_of(source)
+        if reasons != look.undeformed:
+            look.undeformed = reasons
+            for result in self._results:
+                if result.anchor() is source:
+                    result.update_visibility()
+            self.before_changed.emit()
 
     def hide_paint(self) -> None:
         """Hide painted layers, which do not move, if a deformed image is visible."""

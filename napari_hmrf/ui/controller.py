@@ -236,12 +236,6 @@ class Controller:
             still = Deformation(study, image=study.pictures.image)
             self.pointer.display.discard(still)
 
-    def show_before(self, before: bool) -> None:
-        """Show the undeformed image, or show the deformed image again."""
-        result = self.pointer.display.result
-        if result is not None:
-            result.show_before(before)
-
     def clear(self) -> None:
         """Clear the current study."""
         self._refresh_timer.stop()

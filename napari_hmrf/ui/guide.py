@@ -7,7 +7,7 @@ from typing import Any
 
 from napari_hmrf.layers.image_choice import image_covering
 from napari_hmrf.layers.line_of_sight import shows_volume
-from napari_hmrf.layers.viewer_layers import still_there
+from napari_hmrf.layers.viewer_layers import layer_painted, still_there
 from napari_hmrf.layers.viewer_undo import ViewerUndo
 from napari_hmrf.notes import kind_of
 from napari_hmrf.study.edit_history import Step
@@ -39,7 +39,6 @@ class Guide:
         self._status = Status()
         self._drawn: Scene | None = None
         self._introduction = ""
-        self._is_painting = False
         self._chip = WarningChip(viewer, form, undo.session)
         self._chip.message.connect(self._on_study)
         for table in form.tables:
@@ -84,6 +83,7 @@ class Guide:
         """Return the situation; which image covers the chosen one takes time, and is for hints."""
         form, pointer, viewer = self._form, self._pointer, self._viewer
         tool, is_active, moved = pointer.tool, pointer.active, pointer.display.moved
+        result = pointer.display.result
         image = still_there(viewer, self._session.image) if with_hint else None
         other = None if image is None else image_covering(viewer, image)
         place = None if moved is None else moved.study.grid.known_place
@@ -108,7 +108,9 @@ class Guide:
             follows_surface=tool.follows_surface,
             introduction=self._introduction if tool.name == "pull" else "",
             paused=self._paused,
-            is_painting=self._is_painting,
+            is_painting=result is not None
+            and result.is_before
+            and layer_painted(viewer) is not None,
             deform=form.footer.deform.text,
             latest=self._session.result_here,
             overlay=self._chip.overlay,
@@ -116,17 +118,6 @@ class Guide:
             has_selection=tool.selected is not None,
             has_marks=bool(pointer.drawing.marks),
         )
-
-    @property
-    def is_painting(self) -> bool:
-        """True while the deformed image is hidden because the user paints."""
-        return self._is_painting
-
-    @is_painting.setter
-    def is_painting(self, is_painting: bool) -> None:
-        if is_painting != self._is_painting:
-            self._is_painting = is_painting
-            self.show()
 
     @property
     def introduction(self) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 
 from napari.layers import Layer
 
+from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.study.engine import Deformation
 from napari_hmrf.study.study import Study
 from napari_hmrf.ui.controller import Controller
@@ -31,23 +32,29 @@ class Introduction:
         The dock.
     controller : Controller
     guide : Guide
+    results : ResultLayers
     start : callable
         Starts drawing, if the dock is in a window; returns whether the mouse draws.
     """
 
     def __init__(
-        self, native: Any, controller: Controller, guide: Guide, start: Callable[[], bool]
+        self,
+        native: Any,
+        controller: Controller,
+        guide: Guide,
+        results: ResultLayers,
+        start: Callable[[], bool],
     ) -> None:
         self._controller, self._guide, self._start = controller, guide, start
+        self._session, self._results = controller.session, results
         # Samples that were introduced before.
         self._known: weakref.WeakSet[Layer] = weakref.WeakSet()
-        self._is_open = False
-        # First study of the sample; another study ends the introduction.
+        # Sample that is being introduced, and its first study: another study ends the introduction.
+        self._sample: Any = None
         self._study: Study | None = None
         self._start_timer = single_shot(native, 0, self._on_start)
         controller.slice_changed.connect(self._on_slice)
         controller.deformation_changed.connect(self._on_moved)
-        controller.result_drawn.connect(self._hide_result)
         form = controller.form
         result = form.result
         used = (result.slider, result.play, result.overlay, form.footer.deform)
@@ -57,13 +64,13 @@ class Introduction:
 
     def end(self) -> None:
         """Show the result, because the user has begun."""
-        if self._is_open:
-            self._is_open = False
+        sample, self._sample = self._sample, None
+        if sample is not None:
             self._guide.introduction = ""
-            self._controller.show_before(False)
+            self._results.show_deformed(sample, "introduction")
 
     def _on_slice(self, study: Study) -> None:
-        image = self._controller.session.slice.layer
+        image = self._session.slice.layer
         self.end()
         if image is None or image in self._known or _plugin_of(image) != _PLUGIN:
             return
@@ -72,28 +79,19 @@ class Introduction:
             self._start_timer.start()
 
     def _on_start(self) -> None:
-        study = self._controller.session.study
-        moves = study is not None and study.moves
-        self._is_open, self._study = True, None
-        self._guide.introduction = motion_messages.HERE_OR_PLAY if moves else motion_messages.HERE
-        if self._start():
-            self._hide_result()
-        else:
+        study, self._sample, self._study = self._session.study, self._session.slice.layer, None
+        if study is None or self._sample is None:
+            return
+        hint = motion_messages.HERE_OR_PLAY if study.moves else motion_messages.HERE
+        self._guide.introduction = hint
+        self._results.show_undeformed(self._sample, "introduction")
+        if not self._start():
             self.end()
 
     def _on_moved(self, moved: Deformation) -> None:
-        if not self._is_open:
-            return
-        if self._study is None:
-            self._study = moved.study
+        self._study = self._study or moved.study
         if not moved.study.same_as(self._study):
             self.end()
-        else:
-            self._hide_result()
-
-    def _hide_result(self, *_: object) -> None:
-        if self._is_open:
-            self._controller.show_before(True)
 
 
 def _plugin_of(layer: Layer) -> str:

@@ -111,7 +111,7 @@ class SoftTissue(DockValues):
         self._pointer = Pointer(self.native, viewer, form.motion.fields, undo)
         inputs = form, self._binding, self._pointer, undo.session
         self._controller = controller = Controller(self.native, viewer, *inputs)
-        results = shared(viewer, ResultLayers)
+        self._results = results = shared(viewer, ResultLayers)
         self._view = ResultView(self.native, viewer, form.result, results, undo.session)
         controller.overlay_monitor = lambda: self._view.overlay_monitor
         self._connections = EventConnections((undo.session.selected, self._view.select_image))
@@ -124,7 +124,9 @@ class SoftTissue(DockValues):
         )
         controller.slice_changed.connect(self._carry_over.refresh)
         self._watch = ViewerWatch(self.native, viewer, controller, self._guide)
-        self._introduction = Introduction(self.native, controller, self._guide, self._on_sample)
+        self._introduction = Introduction(
+            self.native, controller, self._guide, results, self._on_sample
+        )
         self._second = SecondImage(viewer, self._view, controller, undo.session)
         self._registering = Registering(controller, undo.session)
         self._fitting = Fitting(controller, undo.session)
@@ -442,14 +444,14 @@ class SoftTissue(DockValues):
 
     def _on_table(self, is_automatic: bool) -> None:
         """Show the effect of a typed value, except while a painted layer is in use."""
-        if not is_automatic and self.before and not self._watch.is_paint_in_use:
-            self._controller.show_before(False)
+        if not is_automatic and self.image is not None:
+            self._results.show_deformed(self.image, "comparison")
 
     def _on_finished(self, outputs: object) -> None:
         """Hide the paint, which would tint the requested result."""
         if outputs is not None and self.image is not None:
             put_brush_away(self._viewer)
-            self._controller.show_before(False)
+            self._results.show_deformed(self.image)
             tissue = (self._form.tissue.layer, self._controller.curve_layer.layer)
             shown = [each for each in tissue if each is not None]
             layers_of(self._viewer).want(*shown, wanted=False)

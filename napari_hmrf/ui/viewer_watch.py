@@ -90,14 +90,14 @@ class ViewerWatch:
             (self._session.selected, self._on_image),
         )
         self._results.paint_hidden.connect(self._on_paint_hidden)
-        self._results.before_changed.connect(self._on_before)
+        self._results.before_changed.connect(guide.show)
         self._on_choice()
 
     def release(self) -> None:
         """Disconnect from all events."""
         self._events.release()
         self._results.paint_hidden.disconnect(self._on_paint_hidden)
-        self._results.before_changed.disconnect(self._on_before)
+        self._results.before_changed.disconnect(self._guide.show)
         self._space.close()
 
     def _on_moved(self, study: Study) -> None:
@@ -109,6 +109,7 @@ class ViewerWatch:
         usual, (smallest, largest) = (usual_radius(*size), usual_step(*size)), length_range(*size)
         self._form.motion.fields.limit(smallest, largest, *usual, largest_spread(*size))
         self._form.motion.boundary.table.largest = largest
+        self._show_paint()
         if not self._has_started:
             self._has_started = True
             self._form.motion.fields.begin_with(*usual)
@@ -129,11 +130,6 @@ class ViewerWatch:
         if shown:
             hidden = messages.describe_hidden_paint(shown)
             self._guide.show_message(f"{self._guide.situation.hint} {hidden}", "step")
-
-    @property
-    def is_paint_in_use(self) -> bool:
-        """True while the undeformed image is shown with a painted layer on it."""
-        return self._in_use is not None
 
     def hand_brush(self, layer: Any) -> None:
         """Show the active painted layer on the undeformed image, and select its brush."""
@@ -307,7 +303,7 @@ class ViewerWatch:
         elif was_painting or active is not self._in_use:
             self._space.close()
             self._in_use = None
-        self._show_before(self._in_use is not None)
+        self._show_paint()
 
     def _bind_space(self, layer: Any) -> None:
         self._space.close()
@@ -326,17 +322,13 @@ class ViewerWatch:
         layer.mode = mode
         self._is_view_moved = False
 
-    def _show_before(self, before: bool) -> None:
-        """Show the undeformed image with its paint, or the deformed image without paint."""
-        self._results.show_before(self._session.slice.layer, before)
-        self._results.hide_paint()
-        self._on_before()
-
-    def _on_before(self) -> None:
-        """Update the message about the deformed image that is hidden while the user paints."""
-        result = self._controller.pointer.display.result
-        is_hidden = result is not None and result.is_before
-        self._guide.is_painting = is_hidden and self._is_painting
+    def _show_paint(self) -> None:
+        """Show the undeformed image with the paint in use, or the deformed image without paint."""
+        image, results = self._session.slice.layer, self._results
+        if image is not None:
+            show = results.show_deformed if self._in_use is None else results.show_undeformed
+            show(image, "paint")
+        results.hide_paint()
 
     def _on_visible(self, event: Any) -> None:
         """Show the undeformed image while the user shows a painted layer on it."""
@@ -346,12 +338,12 @@ class ViewerWatch:
             return
         if layer.visible and is_deformed(self._viewer):
             self._in_use = layer
-            self._show_before(True)
+            self._show_paint()
             if layer.visible:  # else the deformed image is that of another study
                 self._guide.show_message(messages.PAINT_SHOWN.format(layer.name))
         elif layer is self._in_use and not layer.visible:
             self._in_use = None
-            self._show_before(False)
+            self._show_paint()
             self._guide.invite()
 
     def _on_paint_hidden(self, layers: list[Any]) -> None:

@@ -27,6 +27,7 @@ def shown():
         results.show(image, HERE, made)
         return results.at(image, HERE.slice_name)
 
+    show.results = results
     yield show
     assert image in viewer.layers
 
@@ -55,11 +56,16 @@ def test_a_part_that_the_user_has_hidden_stays_hidden_in_later_results(shown):
 
 def test_no_part_is_shown_with_the_undeformed_image(shown):
     result = shown("image", "arrows")
-    result.show_before(True)
+    image = result.anchor()
+    shown.results.show_undeformed(image, "paint")
+    shown.results.show_undeformed(image, "comparison")
     assert visible(result) == []
     shown("image", "arrows")
     assert visible(result) == []
-    result.show_before(False)
+    shown.results.show_deformed(image, "comparison")
+    assert result.is_before
+    shown.results.show_deformed(image)
+    assert not result.is_before
     assert visible(result) == ["image", "arrows"]
 
 

@@ -140,8 +140,13 @@ class ResultView:
 
     @before.setter
     def before(self, hold: bool) -> None:
-        if self.shown is not None:
-            self.shown.layers.show_before(hold)
+        if self.shown is None:
+            return
+        source = self.shown.layers.anchor()
+        if hold:
+            self._results.show_undeformed(source, "comparison")
+        else:
+            self._results.show_deformed(source)
 
     @property
     def arrows(self) -> Any:
@@ -412,7 +417,7 @@ class ResultView:
         self._jobs.cancel()
         if self.shown is not None:
             if release:
-                self.shown.layers.show_before(False)
+                self.before = False
             self.shown.layers.show_whole()
         self._draw_whole()
 
