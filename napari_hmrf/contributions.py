@@ -10,6 +10,7 @@ import napari
 from napari.utils.notifications import show_info
 
 from napari_hmrf.errors import FileFormatError, HmrfError
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.io.apply import FieldFile, read_field_file, write_field_file
 from napari_hmrf.io.fields import FIELD_SUFFIXES, is_field_file
 from napari_hmrf.io.images import is_scan, read_image, stem_of
@@ -195,8 +196,8 @@ def _read_scans(path: PathOrPaths) -> list[LayerData]:
             "rgb": image.colours,
             "metadata": metadata,
         }
-        if image.place is not None:
-            attributes |= image.place.frame().placement()
+        if image.geometry is not None:
+            attributes |= Frame.of_geometry(image.geometry).placement()
         if image.order:
             metadata[METADATA][FILE_AXES] = image.order
         layers.append((image.pixels_in_place, attributes, "image"))

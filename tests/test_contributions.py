@@ -28,7 +28,7 @@ from napari_hmrf.contributions import (
 from napari_hmrf.errors import FileFormatError, HmrfError
 from napari_hmrf.field.frame import PATIENT_AXES, Frame
 from napari_hmrf.fields import read_field
-from napari_hmrf.io.fields import Place
+from napari_hmrf.geometry import Geometry
 from napari_hmrf.io.images import ImageFile, write_image
 from napari_hmrf.landmarks import write_points
 from napari_hmrf.layers.metadata import METADATA, rows_of
@@ -264,7 +264,7 @@ def test_saving_a_field_in_napari_reports_the_error_of_its_inverse(viewer, arrow
 
 def test_a_scan_is_opened_at_its_place_in_the_patient(tmp_path):
     turn = np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
-    place = Place((2.0, 0.5, 0.7), (-10.0, 20.0, 5.0), turn)
+    place = Geometry.of_itk((4, 5, 6), (2.0, 0.5, 0.7), (-10.0, 20.0, 5.0), turn)
     pixels = np.arange(4 * 5 * 6, dtype=np.int16).reshape(4, 5, 6)
     path = str(write_image(tmp_path / "head.scan.nii.gz", ImageFile(pixels, place)))
     ((data, attributes, kind),) = open_scan(path)(path)

@@ -20,9 +20,10 @@ from napari_hmrf.augmentation.random_deformation import RandomDeformation, Rando
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.deformation import spread
 from napari_hmrf.field.inverse_field import inverse_displacement
+from napari_hmrf.geometry import Geometry
 from napari_hmrf.io.case import read_case
 from napari_hmrf.io.case_options import Case
-from napari_hmrf.io.fields import Place, place_of, write_mapping
+from napari_hmrf.io.fields import geometry_of, write_mapping
 from napari_hmrf.io.images import ImageFile, write_image
 from napari_hmrf.io.landmark_files import write_points
 from napari_hmrf.io.overwriting import refuse_overwriting
@@ -143,22 +144,22 @@ def write_truth(
     for number in range(count):
         sample = random.sample((seed, number))
         if not number:
-            place = place_of(_placed(sample.solution, study.grid))
+            geometry = geometry_of(_placed(sample.solution, study.grid))
         with _unfinished(folder) as new:
             if not number:
-                write_image(new / "image.mha", ImageFile(image, place, colours))
-                write_image(new / "labels.mha", ImageFile(labels, place))
+                write_image(new / "image.mha", ImageFile(image, geometry, colours))
+                write_image(new / "labels.mha", ImageFile(labels, geometry))
                 study = replace(study, grid=_grid_in(new / "image.mha", study.grid))
             solution = _placed(sample.solution, study.grid)
             pair = new / f"{number + 1:0{digits}}"
             pair.mkdir()
             moved = {
-                "deformed.mha": ImageFile(sample.image(image), place, colours),
-                "deformed_labels.mha": ImageFile(sample.labels(labels), place),
+                "deformed.mha": ImageFile(sample.image(image), geometry, colours),
+                "deformed_labels.mha": ImageFile(sample.labels(labels), geometry),
             }
             for name, each in moved.items():
                 write_image(pair / name, each)
-            _write_motion(pair, sample, solution, place)
+            _write_motion(pair, sample, solution, geometry)
             write_study(pair / "truth.study", _whole(study, sample), solution)
             if not number:
                 _remove_earlier(folder)
@@ -236,20 +237,22 @@ def _grid_in(image: Path, grid: Grid) -> Grid:
     return replace(grid, place=Grid.from_image(image, slice=0 if flat else None).place)
 
 
-def _write_motion(within: Path, sample: RandomSample, solution: Solution, place: Place) -> None:
+def _write_motion(
+    within: Path, sample: RandomSample, solution: Solution, geometry: Geometry
+) -> None:
     """Write the field that moves the image, and the landmarks."""
     n = sample.tissue.ndim
     # The images are warped by the same inverse, not by that of trilinear motion.
     back = inverse_displacement(
         sample.displacement, spacing=sample.spacing, tissue=sample.tissue, trilinear=False
     ).displacement
-    mm = back * (np.array(place.spacing[-n:]) / solution.spacing)
-    write_mapping(within / "field.mha", mm, **place._asdict())
+    mm = back * (np.array(geometry.spacing[-n:]) / solution.spacing)
+    write_mapping(within / "field.mha", mm, **geometry.as_itk)
     points = landmarks(sample.tissue)
-    # The place of a slice has an additional first axis, along which the index is 0.
-    more = len(place.spacing) - n
+    # The grid of a slice has an additional first axis, along which the index is 0.
+    more = geometry.ndim - n
     ends = (np.pad(each, ((0, 0), (more, 0))) for each in (points, sample.points(points)))
-    write_points(within / "landmarks.csv", *(each * place.spacing for each in ends))
+    write_points(within / "landmarks.csv", *(each * geometry.spacing for each in ends))
 
 
 def landmarks(tissue: npt.NDArray[np.bool_]) -> npt.NDArray[np.intp]:

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from napari_hmrf.field.units import is_unit, unit_factor, unit_symbol
+from napari_hmrf.geometry import Geometry
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
 
@@ -113,6 +114,30 @@ class Frame:
             units=tuple(units),
             axis_labels=tuple(axis_labels or map(str, range(-n, 0))),
             matrix=as_tuples(turn @ np.diag([*scale, 1.0])),
+        )
+
+    @classmethod
+    def of_geometry(cls, geometry: Geometry, number: int = 0, *, volume: bool = False) -> Frame:
+        """Return the frame of a layer on a grid in patient coordinates.
+
+        Parameters
+        ----------
+        geometry : Geometry
+        number : int
+            Index of the slice of a volume.
+        volume : bool
+            True for the frame of a whole volume.
+        """
+        n = geometry.ndim
+        turn = geometry.affine.copy()
+        turn[:n, :n] = geometry.directions
+        return cls.at(
+            geometry.spacing,
+            (geometry.unit,) * n,
+            index=(number, *(0,) * (n - 1)) if n > 2 else None,
+            affine=turn,
+            axis_labels=tuple(PATIENT_AXES) if n == 3 else ("y", "x"),
+            volume=volume,
         )
 
     def __repr__(self) -> str:

@@ -20,8 +20,9 @@ from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.observation import PixelField
 from napari_hmrf.field.resample import unknown_values, without_removed
 from napari_hmrf.field.warp import warp
-from napari_hmrf.io.fields import Place, placed, read_field, write_field
-from napari_hmrf.io.images import SAME, ImageFile, read_image, write_image
+from napari_hmrf.geometry import Geometry
+from napari_hmrf.io.fields import placed, read_field, write_field
+from napari_hmrf.io.images import ImageFile, read_image, write_image
 from napari_hmrf.io.landmark_files import (
     POINT_SUFFIXES,
     LandmarkFile,
@@ -63,29 +64,26 @@ class FieldFile:
     Attributes
     ----------
     field : DisplacementField
-        Displacement field, in the unit of `place.spacing`.
-    place : Place
-        Place of the grid; for a slice of a volume, its place in the volume, with three spacings.
+        Displacement field, in the unit of `geometry`.
+    geometry : Geometry
+        Grid of the field; for a slice of a volume, a volume of one slice.
     tissue : ndarray of bool or None
         Mask of the deformable tissue; None if the file has no mask, in which case all pixels move.
-    unit : {"millimeter", "pixel"}
-        Unit of `place`; "pixel" if the pixel size is unknown.
     is_placed : bool
-        False if the file stores no place. `place` is then at the origin, aligned with the axes.
+        False if the file stores no place. The grid is then at the origin, aligned with the axes.
     removed : ndarray of bool or None
         Mask of removed tissue, which moved images do not show; None if no tissue is removed.
     parts : ndarray of int or None
         Label of the sliding part of each site; None if all tissue is connected.
     file_axes : tuple of int
-        Axis of the image file for each axis of `place`.
+        Axis of the image file for each axis of `geometry`.
     number : int
-        Index of a slice along the first axis of `place`.
+        Index of a slice along the first axis of `geometry`.
     """
 
     field: DisplacementField
-    place: Place
+    geometry: Geometry
     tissue: npt.NDArray[np.bool_] | None = None
-    unit: str = "millimeter"
     is_placed: bool = True
     removed: npt.NDArray[np.bool_] | None = None
     parts: npt.NDArray[np.int32] | None = None
@@ -95,17 +93,15 @@ class FieldFile:
     @classmethod
     def of(cls, solution: Solution) -> FieldFile:
         """Return the displacement field of a solution, with the place of its image."""
-        d, place = placed(solution)
-        sizes = place.spacing[-solution.tissue.ndim :]
+        d, geometry = placed(solution)
+        sizes = geometry.spacing[-solution.tissue.ndim :]
         frame = Frame.of_solution(solution)
-        unit = "pixel" if frame.unit == "pixel" else "millimeter"
         across = frame.others[-1:] if len(frame.plane) == 2 else ()
         axes = (*across, *frame.plane)
         return cls(
             DisplacementField(d, sizes),
-            place,
+            geometry,
             solution.tissue,
-            unit,
             bool(solution.frame),
             solution.removed,
             solution.parts,
@@ -116,14 +112,14 @@ class FieldFile:
         )
 
     @property
-    def in_patient(self) -> Place | None:
-        """Place in patient coordinates, or None if the pixel size is unknown."""
-        return self.place if self.unit == "millimeter" else None
+    def in_patient(self) -> Geometry | None:
+        """Grid in patient coordinates, or None if the pixel size is unknown."""
+        return self.geometry if self.geometry.unit == "millimeter" else None
 
     @property
     def in_pixels(self) -> PixelField:
-        """Field in pixels, with one component per axis of its place, as stored in layers."""
-        field, frame = self.field.to_pixels(), self.place.frame(unit=self.unit)
+        """Field in pixels, with one component per axis of its grid, as stored in layers."""
+        field, frame = self.field.to_pixels(), Frame.of_geometry(self.geometry)
         if len(field.shape) == 2:
             field = DisplacementField.in_pixels(frame.put_field(field.displacement))
         return PixelField(field, frame)
@@ -171,11 +167,11 @@ def read_field_file(path: str | os.PathLike[str], *, forward: bool = False) -> F
             )
         return FieldFile.of(read_solved(path)[1])
     file = read_field(path, forward=forward)
-    field, place = file.field, Place(file.spacing, file.origin, file.direction)
+    field = file.field
     across = field.vectors[..., 0]
     if across.ndim == 3 and len(across) == 1 and np.abs(across).max() < _ROUNDING:  # a single slice
         field = DisplacementField(file.displacement[0, ..., 1:], file.spacing[1:])
-    return FieldFile(field, place)
+    return FieldFile(field, file.geometry)
 
 
 def write_field_file(
@@ -194,7 +190,7 @@ def write_field_file(
         As for `write_field`.
     """
     name, d = Path(path).name, field.displacement
-    residual = write_field(path, d, **field.place._asdict(), tissue=field.tissue, forward=forward)
+    residual = write_field(path, d, **field.geometry.as_itk, tissue=field.tissue, forward=forward)
     if forward:
         place_note = "" if field.is_placed else _NO_PLACE
         return f"Saved {name}: the forward field, which moves points.{place_note}"
@@ -253,7 +249,7 @@ def apply_field(
         whole_numbers(name, image.pixels)
     order = 0 if labels else 1
     blended = "" if labels else _note_on_labels(image.pixels, name)
-    if n == 2 and image.ndim == 3 and image.place is not None:
+    if n == 2 and image.ndim == 3 and image.geometry is not None:
         return Applied(write_image(target, _move_slice(field, image, name, order)), blended)
     if n == 3:
         image = image.laid_as(field.in_patient, field.file_axes)
@@ -283,7 +279,7 @@ def apply_field(
             )
     notes = filter(None, (note, blended, unknown_values(pixels, image.ndim, name)))
     image = image._replace(pixels=moved)
-    if n == 3 and image.place is None:
+    if n == 3 and image.geometry is None:
         image = image.laid_as(None, tuple(np.argsort(field.file_axes).tolist()))
     return Applied(write_image(target, image), "; ".join(notes))
 
@@ -355,8 +351,8 @@ def _move_slice(field: FieldFile, image: ImageFile, name: str, order: int) -> Im
     ProblemError
         If the slice of the field is unknown, or is not a slice of the volume.
     """
-    slice_place = field.in_patient
-    if slice_place is None or len(slice_place.spacing) < 3:
+    of_slice = field.in_patient
+    if of_slice is None or of_slice.ndim < 3:
         raise ProblemError(
             name,
             f"is a volume of {len(image.pixels)} slices, but the field belongs to one slice and "
@@ -366,7 +362,7 @@ def _move_slice(field: FieldFile, image: ImageFile, name: str, order: int) -> Im
     pixels = image.pixels.copy()
     for axes in permutations(range(3)):
         reordered = image._replace(pixels=pixels).reordered(axes)
-        index = _find_slice(slice_place, reordered)
+        index = _find_slice(of_slice, reordered)
         if index is not None and reordered.pixels.shape[1:3] == field.shape:
             reordered.pixels[index] = _warp_pixels(field, reordered.pixels[index], order)
             return image._replace(pixels=pixels)
@@ -377,29 +373,27 @@ def _move_slice(field: FieldFile, image: ImageFile, name: str, order: int) -> Im
     )
 
 
-def _find_slice(slice_place: Place, image: ImageFile) -> int | None:
-    """Return the index, along the first axis of a volume, of the slice at a place, or None."""
-    place = image.place
-    assert place is not None
-    corners = np.diag([0.0, 1.0, 1.0])
-    positions = place.to_pixels(slice_place.to_space(corners))
-    number = round(float(positions[0, 0]))
-    deviation = np.abs(positions - corners - [number, 0, 0]).max()
-    return number if deviation <= SAME and 0 <= number < len(image.pixels) else None
+def _find_slice(of_slice: Geometry, image: ImageFile) -> int | None:
+    """Return the index, along the first axis of a volume, of the slice on a grid, or None."""
+    volume = image.geometry
+    assert volume is not None
+    number = round(float(volume.to_pixels(of_slice.to_world(np.zeros(3)))[0]))
+    is_found = 0 <= number < len(image.pixels) and of_slice.same_as(volume.slice_at(number))
+    return number if is_found else None
 
 
 def _move_landmarks(
     field: FieldFile, path: str | os.PathLike[str], target: str | os.PathLike[str]
 ) -> Applied:
     file, name, n = read_points(path), Path(path).name, len(field.shape)
-    place, points = place_for(file, field.place, name, n), file.points
+    geometry, points = geometry_for(file, field.geometry, name, n), file.points
     # Coordinates from the first voxel of a volume are along the axes of its file, except those of
     # napari, which shows a volume along the axes of the field.
     from_first = file.unit != "mm" and points.shape[1] == 3
     order = (0, 1, 2) if n == 3 and file.unit else field.file_axes
     if from_first:
         points = points[:, order]
-    at = place.to_pixels(points)
+    at = geometry.to_pixels(points)
     if from_first and n == 2:
         at[:, 0] -= field.number
     # Points in other slices are unchanged, like the other slices of an image.
@@ -417,21 +411,21 @@ def _move_landmarks(
         )
     if from_first and n == 2:
         at[:, 0] += field.number
-    moved = place.to_space(at)
+    moved = geometry.to_world(at)
     if from_first:
         moved = moved[:, np.argsort(order)]
     written = write_points(target, moved, file.targets, names=file.names, sd=file.sd)
     return Applied(written, "; ".join(notes))
 
 
-def place_for(file: LandmarkFile, place: Place | None, name: str, n: int) -> Place:
-    """Return the place used to convert the points of a landmark file to pixels.
+def geometry_for(file: LandmarkFile, geometry: Geometry | None, name: str, n: int) -> Geometry:
+    """Return the grid used to convert the points of a landmark file to pixels.
 
     Parameters
     ----------
     file : LandmarkFile
-    place : Place or None
-        Place of the image; None if it has no place.
+    geometry : Geometry or None
+        Grid of the image; None if it has no place.
     name : str
         Name of the file, for error messages.
     n : int
@@ -439,8 +433,8 @@ def place_for(file: LandmarkFile, place: Place | None, name: str, n: int) -> Pla
 
     Returns
     -------
-    Place
-        Place with the axes and the unit of the points.
+    Geometry
+        Grid with the axes and the unit of the points.
 
     Raises
     ------
@@ -449,14 +443,14 @@ def place_for(file: LandmarkFile, place: Place | None, name: str, n: int) -> Pla
         image.
     """
     axes = file.points.shape[1]
-    image_axes = n if place is None else len(place.spacing)
+    image_axes = n if geometry is None else geometry.ndim
     if axes not in (n, image_axes):
         raise ProblemError(
             name,
             f"contains points with {axes} coordinates, but the image has {image_axes} axes. Give "
             f"points with {image_axes} coordinates.",
         )
-    size = (1.0,) * axes if place is None or file.unit == "pixel" else place.spacing[-axes:]
-    if place is None or file.unit != "mm" or axes < image_axes:
-        return Place(size, (0.0,) * axes, np.eye(axes))
-    return place
+    if geometry is not None and file.unit == "mm" and axes == image_axes:
+        return geometry
+    spacing = () if geometry is None or file.unit == "pixel" else geometry.spacing[-axes:]
+    return Geometry.at_origin((1,) * axes, spacing)

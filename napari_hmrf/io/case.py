@@ -18,9 +18,10 @@ from napari_hmrf.field.brightness import edge_confidence
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.landmark_pairs import LandmarkPairs
 from napari_hmrf.field.warp import has_volume_loops
-from napari_hmrf.io.apply import place_for, read_field_file
+from napari_hmrf.geometry import Geometry
+from napari_hmrf.io.apply import geometry_for, read_field_file
 from napari_hmrf.io.case_options import Case, energy_of, notes_on_ratio, weight_of
-from napari_hmrf.io.fields import Place, place_of
+from napari_hmrf.io.fields import geometry_of
 from napari_hmrf.io.images import ImageFile, read_image, shape_of, stem_of, write_image
 from napari_hmrf.io.landmark_files import POINT_SUFFIXES, read_points
 from napari_hmrf.io.overwriting import refuse_overwriting
@@ -79,7 +80,7 @@ def read_case(case: Case) -> Study:
         require_memory(shape_of(case.image), STUDY, case.image.name)
     whole = read_image(case.image)
     _refuse_unused(case, whole.ndim == 2)
-    image, place = _part(whole, case)
+    image = _part(whole, case)
     image.refuse_as_grid(case.image.name)
     grid = _grid(image, whole, case)
     labels = None if case.labels is None else _pixels(case, case.labels, whole, labels=True)
@@ -89,7 +90,7 @@ def read_case(case: Case) -> Study:
     materials, unit, notes = _materials(case.materials, labels)
     notes = (*notes, *filter(None, [scale_in_words(scale), image.note_on_unit]))
     motion = replace(
-        _motion(case, grid, place, whole),
+        _motion(case, grid, whole),
         hold_edge=case.hold_edge,
         weight=weight_of(case, grid),
         cavity=case.cavity or Cavity(),
@@ -226,46 +227,42 @@ def solve_case(
             progress(Monitor("compiling the loops that move volumes, once per machine", 0.9))
         make_room(study.grid.shape, WARP)
         moved = solution.warp(image)
-        place = None if study.grid.unit == "pixel" else place_of(solution)
-        file = ImageFile(moved, place, colours=moved.ndim > len(study.grid.shape))
-        write_image(folder / f"{name} deformed{'.nrrd' if place else '.tif'}", file)
+        geometry = None if study.grid.unit == "pixel" else geometry_of(solution)
+        file = ImageFile(moved, geometry, colours=moved.ndim > len(study.grid.shape))
+        write_image(folder / f"{name} deformed{'.nrrd' if geometry else '.tif'}", file)
     write_study(folder / f"{name}.study", study, solution)
     notes = (*caveats, *drift_clauses(solution), *notes)
     return SolvedCase(study, solution, folds, notes)
 
 
-def _part(image: ImageFile, case: Case) -> tuple[ImageFile, Place | None]:
-    """Return the selected slice or the whole volume, with reordered axes, and its place."""
-    place, number = image.place, case.slice
+def _part(image: ImageFile, case: Case) -> ImageFile:
+    """Return the selected slice, or the whole volume with reordered axes."""
+    geometry, number = image.geometry, case.slice
     if image.ndim == 2:
-        return image, place
+        return image
     if number is None:
-        return image.laid_out, image.laid_out.place
+        return image.laid_out
     count = len(image.pixels)
     if not 0 <= number < count:
         raise ProblemError(
             case.image.name, f"is a volume of {count} slices. Give --slice 0 to {count - 1}."
         )
-    if place is not None:
-        (first,) = place.to_space(np.array([[number, 0.0, 0.0]]))
-        place = place._replace(origin=tuple(first[::-1].tolist()))
-    return image._replace(pixels=image.pixels[number]), place
+    part = None if geometry is None else geometry.slice_at(number)
+    return image._replace(pixels=image.pixels[number], geometry=part)
 
 
 def _grid(part: ImageFile, whole: ImageFile, case: Case) -> Grid:
     """Return the grid of a slice or a volume, with its place in space."""
-    n, number = part.ndim, case.slice if whole.ndim > 2 and case.slice is not None else 0
+    n, is_slice = part.ndim, whole.ndim > 2 and case.slice is not None
     shape = part.pixels.shape[:n]
-    if whole.place is None and n == whole.ndim == 2:
+    if whole.geometry is None and n == whole.ndim == 2:
         return Grid(shape, (1.0, 1.0))
-    unit, place = "millimeter", part.place
-    if place is None:
-        unit, place = "pixel", Place((1.0,) * 3, (0.0,) * 3, np.eye(3))
-    frame = place.frame(number, unit)
-    frame = replace(frame, file_axes=part.order)
+    geometry, number = (whole.geometry, case.slice) if is_slice else (part.geometry, 0)
+    geometry = geometry or Geometry.at_origin((1,) * (3 - n) + shape)
+    frame = replace(Frame.of_geometry(geometry, number or 0), file_axes=part.order)
     if n == 3:
         frame = replace(frame, plane=(0, 1, 2))
-    return Grid(shape, place.spacing[-n:], unit, frame)
+    return Grid(shape, geometry.spacing[-n:], geometry.unit, frame)
 
 
 def _materials(
@@ -326,13 +323,12 @@ def _on_pixels(case: Case, path: Path, whole: ImageFile, image: ImageFile) -> np
     ProblemError
         If the image has colours, or differs in size or place from the image of the case.
     """
-    reference, place = _part(whole, case)
-    if image.ndim == 3 and image.place is None and case.slice is None:
-        image = image._replace(place=whole.place)
-    image, at = _part(image, replace(case, image=path))
-    image = image._replace(place=at)
+    reference = _part(whole, case)
+    if image.ndim == 3 and image.geometry is None and case.slice is None:
+        image = image._replace(geometry=whole.geometry)
+    image = _part(image, replace(case, image=path))
     if image.ndim == 3:
-        image = image.laid_as(place)
+        image = image.laid_as(reference.geometry)
     pixels, shape = image.pixels, reference.pixels.shape[: reference.ndim]
     refuse_colours(image, path)
     if pixels.shape != shape:
@@ -341,7 +337,7 @@ def _on_pixels(case: Case, path: Path, whole: ImageFile, image: ImageFile) -> np
             f"is {grid_in_words(pixels.shape)}, but the image is {grid_in_words(shape)}. Give a "
             "file of the same size.",
         )
-    image.refuse_elsewhere(place, path.name, "the image")
+    image.refuse_elsewhere(reference.geometry, path.name, "the image")
     return pixels
 
 
@@ -376,7 +372,7 @@ def as_labels(pixels: npt.NDArray[Any], path: Path) -> npt.NDArray[Any]:
     return pixels
 
 
-def _motion(case: Case, grid: Grid, place: Place | None, whole: ImageFile) -> Motion:
+def _motion(case: Case, grid: Grid, whole: ImageFile) -> Motion:
     path = case.boundary
     if path is None:
         return Motion()
@@ -407,7 +403,7 @@ def _motion(case: Case, grid: Grid, place: Place | None, whole: ImageFile) -> Mo
 
 
 def _confidence_of(case: Case, whole: ImageFile) -> npt.NDArray[Any]:
-    part, _ = _part(whole, case)
+    part = _part(whole, case)
     if case.confidence is None:
         return np.ones(part.pixels.shape[: part.ndim], np.float32)
     if case.confidence == "edges":
@@ -426,15 +422,15 @@ def _landmarks(case: Case, path: Path, grid: Grid, whole: ImageFile) -> Drawing:
         )
     if not file.unit:
         whole.refuse_lengths(case.image.name, path.name)
-    _, place = _part(whole, case)
+    geometry = _part(whole, case).geometry
     # BigWarp's coordinates refer to the axes in the file, before they are reordered by `upright`.
     is_whole = whole.ndim == 3 and case.slice is None
-    file_place = whole.place if is_whole else place
-    point_place = place_for(file, file_place, path.name, n)
-    ends = [point_place.to_pixels(points) for points in (file.points, file.targets)]
-    if file_place is not None and place is not None and is_whole:
-        ends = [place.to_pixels(file_place.to_space(at)) for at in ends]
-    if point_place is not file_place and n == 2 and case.slice is not None:
+    of_file = whole.geometry if is_whole else geometry
+    of_points = geometry_for(file, of_file, path.name, n)
+    ends = [of_points.to_pixels(points) for points in (file.points, file.targets)]
+    if of_file is not None and geometry is not None and is_whole:
+        ends = [geometry.to_pixels(of_file.to_world(at)) for at in ends]
+    if of_points is not of_file and n == 2 and case.slice is not None:
         ends = [
             at - [*[case.slice] * (at.shape[1] - 2), 0, 0] for at in ends
         ]  # convert from volume to slice coordinates
@@ -459,7 +455,7 @@ def _landmarks(case: Case, path: Path, grid: Grid, whole: ImageFile) -> Drawing:
         raise ProblemError(
             path.name,
             f"has {outside} of {len(sources)} landmarks outside the image. Check that the "
-            f"coordinates are in {'pixels' if place is None else 'mm'} along the axes of "
+            f"coordinates are in {'pixels' if geometry is None else 'mm'} along the axes of "
             f"{case.image.name}, and remove landmarks outside the image.",
         )
     most = largest_spread(grid.shape, grid.spacing)

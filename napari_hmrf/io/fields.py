@@ -13,9 +13,8 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -24,10 +23,10 @@ from napari_hmrf.arguments import checked_path, require_flag, require_kind, show
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import ArgumentError, FileFormatError, ProblemError
 from napari_hmrf.field.displacement_field import DisplacementField
-from napari_hmrf.field.frame import PATIENT_AXES, Frame
 from napari_hmrf.field.inverse_field import inverse_displacement
 from napari_hmrf.field.units import SAME_SPACING, UNKNOWN_UNITS, has_same_spacing, unit_factor
 from napari_hmrf.field.warp import as_field
+from napari_hmrf.geometry import Geometry
 from napari_hmrf.io.itk_files import (
     ItkImage,
     Unreadable,
@@ -50,9 +49,6 @@ _NOTES, _DESCRIPTION = "ITK_FileNotes", "descrip"
 _NIFTI = (".nii", ".nii.gz")
 #: Suffix of the format without metadata; all tools assume that it contains a backward field.
 _NO_METADATA = ".h5"
-#: Largest distance between corresponding corners of equal grids, in pixels; not zero, because
-#: positions are rounded in files.
-_SAME_PLACE = 0.05
 #: Largest deviation of a direction matrix from an orthogonal matrix.
 _ROUNDING = 1e-5
 
@@ -71,18 +67,19 @@ class Field:
         0 if the file stores a forward field.
     spacing : tuple of float, shape (n,)
         Pixel size along each axis, in mm, in the order [z,] y, x.
-    field : DisplacementField
-        Field as stored, forward or backward; it can be evaluated at arbitrary points.
     origin : tuple of float, shape (n,)
         Centre of the first pixel, in mm, in ITK's convention: x, y[, z] in LPS.
     direction : ndarray, shape (n, n)
         Direction matrix in ITK's convention: its columns are the directions of the image axes
         x, y[, z].
+    field : DisplacementField
+        Field as stored, forward or backward; it can be evaluated at arbitrary points.
+    geometry : Geometry
+        Grid of the field.
     """
 
     field: DisplacementField
-    origin: tuple[float, ...]
-    direction: npt.NDArray[np.float64]
+    geometry: Geometry
 
     def __repr__(self) -> str:
         sizes = f"{grid_in_words(self.field.vectors.shape[:-1])} sites"
@@ -96,7 +93,17 @@ class Field:
     @property
     def spacing(self) -> tuple[float, ...]:
         """Pixel size along each axis, in mm, in the order [z,] y, x."""
-        return tuple(self.field.spacing)
+        return self.geometry.spacing
+
+    @property
+    def origin(self) -> tuple[float, ...]:
+        """Centre of the first pixel, in mm: x, y[, z] in LPS."""
+        return self.geometry.origin
+
+    @property
+    def direction(self) -> npt.NDArray[np.float64]:
+        """Direction matrix: its columns are the directions of the image axes x, y[, z]."""
+        return self.geometry.direction
 
     @property
     def residual(self) -> float:
@@ -169,12 +176,12 @@ def write_field(
     _refuse_ambiguous_name(target, suffix)
     require_flag("forward", forward)
     require_simpleitk()
-    d, size = _checked_field(displacement, spacing)
-    n = d.shape[-1]
+    d, geometry = _checked_field(displacement, spacing, origin, direction)
     back, residual = d, 0.0
     if not forward:
-        back, residual = inverse_displacement(d, spacing=tuple(size[-n:]), tissue=tissue)
-    _write_vectors(target, suffix, back, size, origin, direction, forward=forward)
+        size = geometry.spacing[-d.shape[-1] :]
+        back, residual = inverse_displacement(d, spacing=size, tissue=tissue)
+    _write_vectors(target, suffix, back, geometry, forward=forward)
     return residual
 
 
@@ -207,8 +214,8 @@ def write_mapping(
     suffix = _suffix_of(target)
     _refuse_ambiguous_name(target, suffix)
     require_simpleitk()
-    vectors, size = _checked_field(displacement, spacing)
-    _write_vectors(target, suffix, vectors, size, origin, direction, forward=False)
+    vectors, geometry = _checked_field(displacement, spacing, origin, direction)
+    _write_vectors(target, suffix, vectors, geometry, forward=False)
 
 
 def _suffix_of(target: Path) -> str:
@@ -222,9 +229,12 @@ def _suffix_of(target: Path) -> str:
 
 
 def _checked_field(
-    displacement: npt.ArrayLike, spacing: Sequence[float]
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Return a finite displacement, and its positive spacings."""
+    displacement: npt.ArrayLike,
+    spacing: Sequence[float],
+    origin: Sequence[float] | None,
+    direction: npt.ArrayLike | None,
+) -> tuple[npt.NDArray[np.float64], Geometry]:
+    """Return a finite displacement, and its grid."""
     d = as_field(displacement).astype(np.float64)
     if not np.isfinite(d).all():
         raise ProblemError(
@@ -233,37 +243,32 @@ def _checked_field(
     size = _lengths("spacing", spacing, (d.shape[-1], 3))
     if not (size > 0).all():
         raise ProblemError("spacing", f"is {shown(tuple(spacing))}. Pass positive lengths.")
-    return d, size
+    n = len(size)
+    start = np.zeros(n) if origin is None else _lengths("origin", origin, (n,))
+    turn = np.eye(n) if direction is None else check_rotation(direction, n)
+    shape = (1,) * (n - d.shape[-1]) + d.shape[:-1]
+    return d, Geometry.of_itk(shape, size.tolist(), start.tolist(), turn)
 
 
 def _write_vectors(
     target: Path,
     suffix: str,
     back: npt.NDArray[np.float64],
-    size: npt.NDArray[np.float64],
-    origin: Sequence[float] | None,
-    direction: npt.ArrayLike | None,
+    geometry: Geometry,
     *,
     forward: bool,
 ) -> None:
     """Write vectors along the axes of an image as vectors along the physical axes."""
-    if len(size) > back.shape[-1]:  # a slice of a volume does not move perpendicular to the slice
+    n = geometry.ndim
+    if n > back.shape[-1]:  # a slice of a volume does not move perpendicular to the slice
         back = np.concatenate([np.zeros((*back.shape[:-1], 1)), back], axis=-1)[np.newaxis]
-    start = np.zeros(len(size)) if origin is None else _lengths("origin", origin, (len(size),))
-    turn = np.eye(len(size)) if direction is None else check_rotation(direction, len(size))
-    if suffix in _NIFTI and len(back) == 1 and len(size) == 3:
+    if suffix in _NIFTI and len(back) == 1 and n == 3:
         back = np.repeat(back, 3, axis=0)
-        start = start - turn[:, 2] * size[0]
+        geometry = replace(geometry.slice_at(-1), shape=back.shape[:n])
     field_type = _FORWARD if forward else _BACKWARD
     metadata = {_NOTES: f"{_SLICER}: {field_type}"} if suffix in _NIFTI else {_SLICER: field_type}
-    image = ItkImage(
-        back[..., ::-1] @ turn.T,
-        len(size),
-        tuple(size[::-1].tolist()),
-        tuple(start.tolist()),
-        turn,
-        {} if suffix == _NO_METADATA else metadata,
-    )
+    along_world = back[..., ::-1] @ geometry.direction.T
+    image = ItkImage(along_world, n, geometry, {} if suffix == _NO_METADATA else metadata)
     content = encode(target, image, suffix, transform=suffix == _NO_METADATA)
     write_whole(target, content)
 
@@ -309,9 +314,10 @@ def read_field(path: str | os.PathLike[str], *, forward: bool = False) -> Field:
         vectors = vectors.astype(np.float64)
     if not np.isfinite(vectors).all():
         raise FileFormatError(f"{source.name}: the field contains NaN or infinite values.")
-    along = (vectors @ image.direction.astype(vectors.dtype))[..., ::-1]
-    field = DisplacementField(along, image.spacing[::-1], back=field_type != _FORWARD)
-    return Field(field, image.origin, image.direction)
+    geometry = image.geometry
+    along = (vectors @ geometry.direction.astype(vectors.dtype))[..., ::-1]
+    field = DisplacementField(along, geometry.spacing, back=field_type != _FORWARD)
+    return Field(field, geometry)
 
 
 def is_field_file(path: str | os.PathLike[str]) -> bool:
@@ -326,73 +332,8 @@ def is_field_file(path: str | os.PathLike[str]) -> bool:
     return holds_vectors(source)
 
 
-class Place(NamedTuple):
-    """Place of a grid: its spacing, position and orientation in ITK's convention.
-
-    Lengths are in mm, or in pixels if the pixel size is unknown.
-
-    Attributes
-    ----------
-    spacing : tuple of float, shape (n,)
-        Pixel size along each axis, in the order [z,] y, x.
-    origin : tuple of float, shape (n,)
-        Centre of the first pixel: x, y[, z] in LPS.
-    direction : ndarray, shape (n, n)
-        Direction matrix: its columns are the directions of the image axes x, y[, z].
-    """
-
-    spacing: tuple[float, ...]
-    origin: tuple[float, ...]
-    direction: npt.NDArray[np.float64]
-
-    def to_pixels(self, points: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Convert points from patient to pixel coordinates.
-
-        Parameters
-        ----------
-        points : ndarray, shape (N, n)
-            Points in patient coordinates, in mm, in the order [z,] y, x.
-
-        Returns
-        -------
-        ndarray, shape (N, n)
-            Points in pixels of the grid, in the same order.
-        """
-        offsets: npt.NDArray[np.float64] = points - self.origin[::-1]
-        return offsets @ self.direction[::-1, ::-1] / self.spacing
-
-    def to_space(self, pixels: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Convert points from pixel to patient coordinates; the inverse of `to_pixels`."""
-        offsets: npt.NDArray[np.float64] = (pixels * self.spacing) @ self.direction[::-1, ::-1].T
-        return offsets + self.origin[::-1]
-
-    def frame(self, number: int = 0, unit: str = "millimeter", *, volume: bool = False) -> Frame:
-        """Convert the place to a `Frame` of napari layers; the inverse of `place_of`.
-
-        Parameters
-        ----------
-        number : int
-            Index of the slice of a volume.
-        unit : str
-            Unit of length.
-        volume : bool
-            True for the frame of a whole volume.
-        """
-        n = len(self.spacing)
-        turn = np.eye(n + 1)
-        turn[:n, :n], turn[:n, n] = self.direction[::-1, ::-1], self.origin[::-1]
-        return Frame.at(
-            self.spacing,
-            (unit,) * n,
-            index=(number, *(0,) * (n - 1)) if n > 2 else None,
-            affine=turn,
-            axis_labels=tuple(PATIENT_AXES) if n == 3 else ("y", "x"),
-            volume=volume,
-        )
-
-
-def place_of(solution: Solution) -> Place:
-    """Return the place of a solution; for a slice of a volume, its place in the volume.
+def geometry_of(solution: Solution) -> Geometry:
+    """Return the grid of a solution; for a slice of a volume, as a volume of one slice.
 
     The world coordinates of the layers are assumed to be patient coordinates: the axes z, y and x
     point to superior, posterior and left, as for medical images opened with this package.
@@ -404,8 +345,7 @@ def place_of(solution: Solution) -> Place:
     """
     frame = solution.frame or {}
     if "matrix" not in frame:
-        n = solution.tissue.ndim
-        return Place(solution.spacing, (0.0,) * n, np.eye(n))
+        return Geometry.at_origin(solution.tissue.shape, solution.spacing)
     matrix, plane = np.array(frame["matrix"]), list(frame["plane"])
     # Millimetres per unit of each world axis; 1 for pixels, NaN for units that are not lengths.
     mm = [1.0 if unit == "pixel" else unit_factor(unit, "millimeter") for unit in frame["units"]]
@@ -421,22 +361,26 @@ def place_of(solution: Solution) -> Place:
     world = sorted(axes)
     steps = matrix[np.ix_(world, axes)] * sizes[world][:, None]
     first = (matrix @ [*frame["index"], 1.0])[world] * sizes[world]
-    spacing = np.linalg.norm(steps, axis=0)
-    turn = (steps / spacing)[::-1, ::-1]
-    return Place(
-        tuple(spacing.tolist()), tuple(first[::-1].tolist()), check_rotation(turn, len(axes))
-    )
+    n = len(axes)
+    affine = np.eye(n + 1)
+    affine[:n, :n], affine[:n, n] = steps, first
+    unit = "pixel" if frame["units"][plane[-2]] == "pixel" else "millimeter"
+    shape = (1,) * (n - solution.tissue.ndim) + solution.tissue.shape
+    geometry = Geometry(shape, affine, unit)
+    check_rotation(geometry.direction, n)
+    return geometry
 
 
-def placed(solution: Solution) -> tuple[npt.NDArray[np.floating], Place]:
-    """Return the displacement of a solution in the unit of its place, and the place.
+def placed(solution: Solution) -> tuple[npt.NDArray[np.floating], Geometry]:
+    """Return the displacement of a solution in the unit of its geometry, and the geometry.
 
     Raises
     ------
     ProblemError
-        As for `place_of`; or if the place is inconsistent with the spacing or unit of the solution.
+        As for `geometry_of`; or if the frame of the solution is inconsistent with its spacing or
+        its unit.
     """
-    place, n = place_of(solution), solution.tissue.ndim
+    place, n = geometry_of(solution), solution.tissue.ndim
     factors = np.array(place.spacing[-n:]) / solution.spacing
     is_known = solution.unit not in UNKNOWN_UNITS
     expected = unit_factor(solution.unit, "millimeter") if is_known else factors[0]
@@ -501,7 +445,7 @@ def export_field(
     return write_field(
         path,
         displacement,
-        **place._asdict(),
+        **place.as_itk,
         forward=forward,
         tissue=solution.tissue,
     )
@@ -515,7 +459,7 @@ def _not_a_field(source: Path, error: Unreadable) -> str:
 
 def place_solution(
     solution: Solution, grid: Grid | None, placed_only: bool
-) -> tuple[npt.NDArray[np.floating], Place]:
+) -> tuple[npt.NDArray[np.floating], Geometry]:
     """Return the displacement of a solution in mm, and the place of the solution or of a grid.
 
     Parameters
@@ -547,8 +491,7 @@ def place_solution(
             )
         if grid.place is not None:
             on_grid = replace(solution, frame=grid.place.as_dict())
-            shape = solution.tissue.shape
-            if solution.frame and not _is_at(place_of(solution), place_of(on_grid), shape):
+            if solution.frame and not geometry_of(solution).same_as(geometry_of(on_grid)):
                 raise ProblemError(
                     "grid",
                     "is not in the same place as the field. Leave grid out, or solve on this grid.",
@@ -579,18 +522,7 @@ def place_solution(
             f"is in {shown(solution.unit)}, which is not a unit of length. Set the unit of the "
             'study\'s grid to a unit of length, such as "mm".',
         )
-    in_mm = tuple(size * factor for size in place.spacing)
-    return displacement * factor, place._replace(spacing=in_mm)
-
-
-def _is_at(one: Place, other: Place, shape: tuple[int, ...]) -> bool:
-    """Return whether the corners of a grid have the same positions in two places."""
-    n = len(one.spacing)
-    if len(other.spacing) != n:
-        return False
-    corners = np.zeros((2 ** len(shape), n))
-    corners[:, -len(shape) :] = [*product(*((0, size - 1) for size in shape))]
-    return bool(np.abs(one.to_pixels(other.to_space(corners)) - corners).max() <= _SAME_PLACE)
+    return displacement * factor, place.scaled(factor)
 
 
 def _stated_type(metadata: Mapping[str, str]) -> str:
@@ -635,25 +567,23 @@ def check_rotation(direction: npt.ArrayLike, n: int) -> npt.NDArray[np.float64]:
     return turn
 
 
-def require_right_angles(place: Place, name: str) -> None:
+def require_right_angles(geometry: Geometry, name: str) -> None:
     """Raise an error if the axes of a grid are not at right angles.
 
     Parameters
     ----------
-    place : Place
+    geometry : Geometry
     name : str
         Name of the image or its file, for the error message.
 
     Raises
     ------
     ProblemError
-        If the direction matrix is not orthogonal.
+        If the directions of the axes are not orthogonal.
     """
-    try:
-        check_rotation(place.direction, len(place.spacing))
-    except ProblemError:
+    if not geometry.has_right_angles:
         raise ProblemError(
             name,
             "has axes that are not at right angles, as scans with a tilted gantry. Resample it to "
             "a grid with right angles.",
-        ) from None
+        )

@@ -13,7 +13,8 @@ import numpy.typing as npt
 from napari_hmrf.arguments import is_whole, shown
 from napari_hmrf.errors import ArgumentError, ProblemError
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.io.fields import Place, require_right_angles
+from napari_hmrf.geometry import Geometry
+from napari_hmrf.io.fields import require_right_angles
 from napari_hmrf.io.images import read_image
 from napari_hmrf.io.nifti import fault_of_places
 from napari_hmrf.study.study import Grid
@@ -58,25 +59,25 @@ def grid_of_image(
         As for `read_image`, if `image` is a path.
     """
     if isinstance(image, str | os.PathLike):
-        shape, place = _of_file(image, None if slice is None else axis)
+        geometry = _of_file(image, None if slice is None else axis)
     elif hasattr(image, "GetDirection"):
-        shape, place = _of_simpleitk(image)
+        geometry = _of_simpleitk(image)
     elif hasattr(image, "affine") and hasattr(image, "dataobj"):
-        shape, place = _of_nibabel(image)
+        geometry = _of_nibabel(image)
     else:
         raise ArgumentError(
             f"image is {shown(image)}, of type {type(image).__name__}. Pass a path, a SimpleITK "
             "image or a nibabel image. For an array, which has no position in world coordinates, "
             "use Grid(shape, spacing)."
         )
-    n = len(shape)
-    if place is None:
-        unit, frame = "pixel", Frame.at((1.0,) * n, ("pixel",) * n, volume=n == 3)
+    shape, n = geometry.shape, geometry.ndim
+    is_placed = geometry.unit != "pixel"
+    if is_placed:
+        require_right_angles(geometry, "image")
+        frame = Frame.of_geometry(geometry, volume=n == 3)
     else:
-        require_right_angles(place, "image")
-        unit, frame = "millimeter", place.frame(volume=n == 3)
-    spacing = frame.spacing
-    grid = Grid(shape, spacing, unit, None if place is None else frame)
+        frame = Frame.at((1.0,) * n, ("pixel",) * n, volume=n == 3)
+    grid = Grid(shape, frame.spacing, geometry.unit, frame if is_placed else None)
     if slice is None:
         return grid
     return _slice_of(grid, frame, slice, axis)
@@ -103,30 +104,24 @@ def _slice_of(grid: Grid, frame: Frame, number: int, axis: int) -> Grid:
     )
 
 
-def _of_file(
-    path: str | os.PathLike[str], across: int | None
-) -> tuple[tuple[int, ...], Place | None]:
-    """Return the shape and place of an image file, of which one slice may be used."""
+def _of_file(path: str | os.PathLike[str], across: int | None) -> Geometry:
+    """Return the grid of an image file, of which one slice may be used."""
     image = read_image(path)
     is_stack = across == 0 and image.ndim == 3  # a slice of it is an image
     (image._replace(pixels=image.pixels[0]) if is_stack else image).refuse_as_grid(Path(path).name)
-    return tuple(image.pixels_in_place.shape[: image.pixels_in_place.ndim - image.colours]), (
-        image.place
-    )
+    return image.geometry or Geometry.at_origin(image.pixels.shape[: image.ndim])
 
 
-def _of_simpleitk(image: Any) -> tuple[tuple[int, ...], Place]:
+def _of_simpleitk(image: Any) -> Geometry:
     n = image.GetDimension()
     if n not in (2, 3):
         raise ArgumentError(f"image has {n} axes. Pass an image with 2 axes, or a volume with 3.")
-    turn = np.array(image.GetDirection(), dtype=float).reshape(n, n)
-    spacing = tuple(float(size) for size in image.GetSpacing()[::-1])
-    origin = tuple(float(at) for at in image.GetOrigin())
-    return tuple(int(size) for size in image.GetSize()[::-1]), Place(spacing, origin, turn)
+    spacing, origin = image.GetSpacing()[::-1], image.GetOrigin()
+    return Geometry.of_itk(image.GetSize()[::-1], spacing, origin, image.GetDirection())
 
 
-def _of_nibabel(image: Any) -> tuple[tuple[int, ...], Place]:
-    """Return the shape and place, with the axes in the order of `dataobj` (usually x, y, z)."""
+def _of_nibabel(image: Any) -> Geometry:
+    """Return the grid, with the axes in the order of `dataobj` (usually x, y, z)."""
     shape = tuple(int(size) for size in image.dataobj.shape)
     affine = np.asarray(image.affine, dtype=float)
     if len(shape) > 3 and set(shape[3:]) == {1}:
@@ -152,9 +147,7 @@ def _of_nibabel(image: Any) -> tuple[tuple[int, ...], Place]:
         raise ProblemError(
             "image", "has a singular affine. Pass an image with an invertible affine."
         )
-    # The first column of `Place.direction` belongs to the last axis of the array.
-    turn = (steps[:3, :3] / spacing)[:, ::-1]
-    return shape, Place(tuple(spacing.tolist()), tuple(steps[:3, 3].tolist()), turn)
+    return Geometry(shape, steps[[2, 1, 0, 3]])
 
 
 def _millimetres(image: Any) -> float:

@@ -20,7 +20,8 @@ import numpy.typing as npt
 from napari_hmrf.arguments import checked_path, checked_target
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
-from napari_hmrf.io.fields import Place, require_right_angles
+from napari_hmrf.geometry import Geometry
+from napari_hmrf.io.fields import require_right_angles
 from napari_hmrf.io.itk_files import (
     ItkImage,
     Unreadable,
@@ -32,8 +33,6 @@ from napari_hmrf.io.itk_files import (
 from napari_hmrf.regular_file import refuse_irregular
 from napari_hmrf.solver.problem import grid_in_words
 
-#: Largest distance at which two grids are considered to be in the same place, in pixels.
-SAME = 0.01
 #: Largest relative difference between the sides of pixels that are considered square.
 _SQUARE = 1e-3
 #: Axes of .tif files that are not axes of space, with their content, and the unit of OME's sizes.
@@ -54,8 +53,8 @@ class ImageFile(NamedTuple):
     Attributes
     ----------
     pixels : ndarray, shape ([D,] H, W) or ([D,] H, W, 3 or 4)
-    place : Place or None
-        Place in patient coordinates, in mm; None for a picture.
+    geometry : Geometry or None
+        Grid in patient coordinates, in mm; None for a picture.
     colours : bool
         True if the last axis contains colour channels.
     stack : str
@@ -69,7 +68,7 @@ class ImageFile(NamedTuple):
     """
 
     pixels: npt.NDArray[Any]
-    place: Place | None = None
+    geometry: Geometry | None = None
     colours: bool = False
     stack: str = ""
     calibration: tuple[float, ...] = ()
@@ -78,8 +77,8 @@ class ImageFile(NamedTuple):
 
     @property
     def pixels_in_place(self) -> npt.NDArray[Any]:
-        """Pixels with all axes of the place; a slice of a volume gets a first axis of length 1."""
-        more = 0 if self.place is None else len(self.place.spacing) - self.ndim
+        """Pixels with all axes of the grid; a slice of a volume gets a first axis of length 1."""
+        more = 0 if self.geometry is None else self.geometry.ndim - self.ndim
         return self.pixels[(np.newaxis,) * more]
 
     @property
@@ -89,10 +88,10 @@ class ImageFile(NamedTuple):
         Scanners acquire slices in any orientation, but napari shows slices perpendicular to world
         axes.
         """
-        place = self.place
-        if place is None or len(place.spacing) != 3:
+        geometry = self.geometry
+        if geometry is None or geometry.ndim != 3:
             return self
-        turn = place.direction[::-1, ::-1]
+        turn = geometry.directions
 
         def nearness(order: tuple[int, ...]) -> float:
             return sum(abs(float(turn[world, axis])) for world, axis in enumerate(order))
@@ -106,7 +105,7 @@ class ImageFile(NamedTuple):
         shape = self.pixels.shape
         if self.ndim != 3:
             return self
-        if self.place is None or 1 not in shape[:3]:
+        if self.geometry is None or 1 not in shape[:3]:
             return self.upright
         across = shape.index(1)
         image = self.reordered((across, *(axis for axis in range(3) if axis != across)))
@@ -114,38 +113,35 @@ class ImageFile(NamedTuple):
 
     def reordered(self, order: tuple[int, ...]) -> ImageFile:
         """Return a view of a volume with its axes reordered; the volume must have a place."""
-        place = self.place
-        assert place is not None
-        turn = place.direction[::-1, ::-1]
+        assert self.geometry is not None
         return ImageFile(
             self.pixels_in_place.transpose(*order, *range(3, 3 + self.colours)),
-            Place(
-                tuple(place.spacing[axis] for axis in order),
-                place.origin,
-                turn[:, list(order)][::-1, ::-1],
-            ),
+            self.geometry.reordered(order),
             self.colours,
             order=() if order == (0, 1, 2) else order,
         )
 
-    def laid_as(self, place: Place | None, file_axes: tuple[int, ...] = (0, 1, 2)) -> ImageFile:
-        """Return the image with its axes reordered and reversed to match another place.
+    def laid_as(
+        self, geometry: Geometry | None, file_axes: tuple[int, ...] = (0, 1, 2)
+    ) -> ImageFile:
+        """Return the image with its axes reordered and reversed to match another grid.
 
         A volume without a place has the axes of the file that the other image comes from. The image
         itself is returned if no order and no directions of its axes match.
 
         Parameters
         ----------
-        place : Place or None
-            Place of the other image.
+        geometry : Geometry or None
+            Grid of the other image.
         file_axes : tuple of int
             Axis of its file for each axis of the other image.
         """
-        if self.place is None and self.ndim == 3:
+        own = self.geometry
+        if own is None and self.ndim == 3:
             return self._replace(
                 pixels=self.pixels.transpose(*file_axes, *range(3, self.pixels.ndim))
             )
-        if self.place is None or len(self.place.spacing) != 3 or apart(self.place, place) <= SAME:
+        if own is None or own.ndim != 3 or geometry is None or own.same_as(geometry):
             return self
         axes = range(3)
         turned = (
@@ -154,25 +150,21 @@ class ImageFile(NamedTuple):
             for count in range(4)
             for reverse in combinations(axes, count)
         )
-        return next((each for each in turned if apart(each.place, place) <= SAME), self)
+        return next((each for each in turned if geometry.same_as(each.geometry)), self)
 
     def reversed_along(self, axes: tuple[int, ...]) -> ImageFile:
         """Return a view of a volume with some axes reversed; the volume must have a place."""
-        place, pixels = self.place, np.flip(self.pixels, axes)
-        assert place is not None
-        signs = np.array([-1.0 if axis in axes else 1.0 for axis in range(3)])
-        last = [size - 1.0 if axis in axes else 0.0 for axis, size in enumerate(pixels.shape[:3])]
-        first = place.to_space(np.array([last]))[0]
-        turned = Place(place.spacing, tuple(first[::-1].tolist()), place.direction * signs[::-1])
-        return self._replace(pixels=pixels, place=turned)
+        assert self.geometry is not None
+        turned = self.geometry.reversed_along(axes)
+        return self._replace(pixels=np.flip(self.pixels, axes), geometry=turned)
 
-    def refuse_elsewhere(self, place: Place | None, name: str, what: str) -> None:
+    def refuse_elsewhere(self, geometry: Geometry | None, name: str, what: str) -> None:
         """Raise an error if the image is not in the same place as another image of equal size.
 
         Parameters
         ----------
-        place : Place or None
-            Place of the other image; None disables the check.
+        geometry : Geometry or None
+            Grid of the other image; None disables the check.
         name : str
             Name of the image file, for the error message.
         what : str
@@ -183,7 +175,10 @@ class ImageFile(NamedTuple):
         ProblemError
             If the places differ.
         """
-        if apart(self.place, place, self.ndim) > SAME:
+        own = self.geometry
+        if own is None or geometry is None or own.ndim != geometry.ndim:
+            return
+        if not own.same_as(geometry):
             raise ProblemError(
                 name,
                 f"is not in the same place as {what}, although it has the same size. Give a file "
@@ -205,8 +200,8 @@ class ImageFile(NamedTuple):
             If axes are not at right angles; or if the image is a .tif whose first axis is not
             depth, or whose pixels are not squares or cubes.
         """
-        if self.place is not None:
-            require_right_angles(self.place, name)
+        if self.geometry is not None:
+            require_right_angles(self.geometry, name)
         if self.ndim == 3 and self.stack:
             raise ProblemError(
                 name,
@@ -256,32 +251,6 @@ class ImageFile(NamedTuple):
     def ndim(self) -> int:
         """Number of spatial axes."""
         return self.pixels.ndim - self.colours
-
-
-def apart(one: Place | None, other: Place | None, axes: int = 3) -> float:
-    """Return the largest distance between corresponding points of two grids.
-
-    The compared points are the first pixel and its neighbours along the axes.
-
-    Parameters
-    ----------
-    one, other : Place or None
-        Places of the grids.
-    axes : int
-        Number of axes, counted from the last, along which neighbours are compared: for a slice, the
-        axes in its plane.
-
-    Returns
-    -------
-    float
-        Distance in pixels of the first grid; 0 if a grid has no place, or if the places have
-        different numbers of axes.
-    """
-    if one is None or other is None or len(one.spacing) != len(other.spacing):
-        return 0.0
-    n = len(one.spacing)
-    corners = np.concatenate([np.zeros((1, n)), np.eye(n)[-axes:]])
-    return float(np.abs(one.to_pixels(other.to_space(corners)) - corners).max())
 
 
 def read_image(path: str | os.PathLike[str]) -> ImageFile:
@@ -335,12 +304,12 @@ def read_image(path: str | os.PathLike[str]) -> ImageFile:
             f"{source.name}: the image has {n} axes and {count} values per pixel. Give a grey or "
             "colour image with 2 or 3 axes."
         )
-    place = Place(image.spacing[::-1], image.origin, image.direction)
     if n == count and pixels.dtype.kind == "f":
         raise FileFormatError(
             f"{source.name}: the file contains a displacement field. Give an image instead."
         )
-    return ImageFile(pixels[0] if n == 3 and len(pixels) == 1 else pixels, place, count > 1)
+    is_slice = n == 3 and len(pixels) == 1
+    return ImageFile(pixels[0] if is_slice else pixels, image.geometry, count > 1)
 
 
 def shape_of(path: str | os.PathLike[str]) -> tuple[int, ...]:
@@ -522,13 +491,10 @@ def _encode(target: Path, image: ImageFile, suffix: str) -> bytes:
         return file.getvalue()
     if suffix in PICTURE_SUFFIXES:
         return _encode_picture(image.pixels, suffix)
-    pixels, place = image.pixels_in_place, image.place
-    if place is None:
-        n = image.ndim
-        place = Place((1.0,) * n, (0.0,) * n, np.eye(n))
+    pixels = image.pixels_in_place
+    geometry = image.geometry or Geometry.at_origin(pixels.shape[: image.ndim])
     components = pixels.shape[-1] if image.colours else 1
-    itk_image = ItkImage(pixels, components, place.spacing[::-1], place.origin, place.direction, {})
-    return encode(target, itk_image, suffix)
+    return encode(target, ItkImage(pixels, components, geometry, {}), suffix)
 
 
 def _encode_picture(pixels: npt.NDArray[Any], suffix: str) -> bytes:

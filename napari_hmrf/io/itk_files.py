@@ -21,13 +21,14 @@ import numpy.typing as npt
 from napari_hmrf.atomic_write import raise_for_space, temporary_beside
 from napari_hmrf.errors import CANNOT_SAVE, HmrfError
 from napari_hmrf.field.units import unit_factor
+from napari_hmrf.geometry import Geometry
 from napari_hmrf.io.decoder_process import Decoded, Undecodable, decoder, missing_simpleitk
 from napari_hmrf.io.nifti import (
     fault_in_nifti,
+    geometry_in_nifti,
     holds_positions,
     is_cut_short,
     not_finite,
-    place_in_nifti,
 )
 from napari_hmrf.regular_file import refuse_irregular
 
@@ -39,8 +40,6 @@ _NIFTI_HEADERS = (*_NIFTI, ".hdr", ".img")
 _FIELD = "DisplacementFieldTransform_"
 #: Reason for rejecting a NIfTI file with fewer bytes than its header states, or a damaged .gz.
 _CUT_SHORT = "it is damaged or truncated"
-#: Relative and absolute tolerances for places, which NIfTI stores in single precision.
-_CLOSE = (1e-4, 1e-4)
 
 
 class Unreadable(Exception):
@@ -52,34 +51,27 @@ class Damaged(Unreadable):
 
 
 class ItkImage(NamedTuple):
-    """Image or vector field in ITK's convention.
+    """Image, or field of vectors along the axes x, y[, z] of LPS.
 
     Attributes
     ----------
     pixels : ndarray, shape ([D,] H, W[, components])
     components : int
         Number of values per pixel.
-    spacing : tuple of float, shape (n,)
-        Pixel size along the axes x, y[, z], in mm.
-    origin : tuple of float, shape (n,)
-        Centre of the first pixel, in mm: x, y[, z] in LPS.
-    direction : ndarray, shape (n, n)
-        Direction matrix: its columns are the directions of the image axes x, y[, z].
+    geometry : Geometry
     metadata : dict of str to str
         Metadata in the file.
     """
 
     pixels: npt.NDArray[Any]
     components: int
-    spacing: tuple[float, ...]
-    origin: tuple[float, ...]
-    direction: npt.NDArray[np.float64]
+    geometry: Geometry
     metadata: dict[str, str]
 
     @property
     def ndim(self) -> int:
         """Number of spatial axes."""
-        return len(self.spacing)
+        return self.geometry.ndim
 
 
 def read_itk_image(source: Path) -> ItkImage:
@@ -270,10 +262,7 @@ def _in_millimetres(image: ItkImage, source: Path) -> ItkImage:
             "axes, such as mm"
         )
     (factor,) = factors
-    return image._replace(
-        spacing=tuple(factor * size for size in image.spacing),
-        origin=tuple(factor * at for at in image.origin),
-    )
+    return image._replace(geometry=image.geometry.scaled(factor))
 
 
 def _is_real_nifti(source: Path, image: ItkImage) -> bool:
@@ -290,8 +279,8 @@ def _as_displacements(image: ItkImage, source: Path) -> ItkImage:
         return image
     vectors = image.pixels * np.array([-1.0, -1.0, 1.0])[: image.ndim]
     if positions:
-        indices = np.moveaxis(np.indices(vectors.shape[:-1]), 0, -1)[..., ::-1]
-        vectors -= (indices * image.spacing) @ image.direction.T + image.origin
+        indices = np.moveaxis(np.indices(vectors.shape[:-1]), 0, -1)
+        vectors -= image.geometry.to_world(indices)[..., ::-1]
     return image._replace(pixels=vectors)
 
 
@@ -309,25 +298,23 @@ def _check_length(source: Path) -> None:
 
 
 def _image(decoded: Decoded) -> ItkImage:
-    header = decoded.header
-    assert decoded.pixels is not None
-    n = len(header["spacing"])
-    return ItkImage(
-        decoded.pixels,
-        header["components"],
-        tuple(header["spacing"]),
-        tuple(header["origin"]),
-        np.array(header["direction"]).reshape(n, n),
-        header["metadata"],
-    )
+    header, pixels = decoded.header, decoded.pixels
+    assert pixels is not None
+    spacing = header["spacing"][::-1]
+    shape = pixels.shape[: len(spacing)]
+    geometry = Geometry.of_itk(shape, spacing, header["origin"], header["direction"])
+    return ItkImage(pixels, header["components"], geometry, header["metadata"])
 
 
 def _header(image: ItkImage) -> dict[str, Any]:
     """Return the header of an image in the format of decoder requests."""
+    geometry = image.geometry
     return {
-        **image._asdict(),
-        "direction": image.direction.ravel().tolist(),
-        "pixels": None,
+        "components": image.components,
+        "metadata": image.metadata,
+        "spacing": geometry.spacing[::-1],
+        "origin": geometry.origin,
+        "direction": geometry.direction.ravel().tolist(),
     }
 
 
@@ -354,28 +341,17 @@ def _reads_back(file: Path, image: ItkImage, *, transform: bool) -> bool:
     is_same = np.array_equal(
         read_pixels.ravel(), pixels.ravel(), equal_nan=pixels.dtype.kind in "fc"
     )
-    return is_same and (
-        read.ndim != image.ndim or np.allclose(_place(read), _place(image), *_CLOSE)
-    )
-
-
-def _place(image: ItkImage) -> list[float]:
-    return [*image.spacing, *image.origin, *image.direction.ravel().tolist()]
+    return is_same and (read.ndim != image.ndim or read.geometry.same_as(image.geometry))
 
 
 def _in_volume(plane: ItkImage, source: Path) -> ItkImage:
     """Restore the third axis, which SimpleITK drops when reading a one-slice field from NIfTI."""
-    place = place_in_nifti(source)
-    if place is None:
+    geometry = geometry_in_nifti(source)
+    if geometry is None:
         return plane
-    if math.isclose(float(np.linalg.det(place.direction)), 0.0, abs_tol=1e-9):
+    if math.isclose(float(np.linalg.det(geometry.directions)), 0.0, abs_tol=1e-9):
         raise Unreadable("its axes lie in one plane")
-    return plane._replace(
-        pixels=plane.pixels[np.newaxis],
-        spacing=tuple(place.spacing.tolist()),
-        origin=tuple(place.origin.tolist()),
-        direction=place.direction,
-    )
+    return plane._replace(pixels=plane.pixels[np.newaxis], geometry=geometry)
 
 
 def _check_text(source: Path) -> None:

@@ -15,10 +15,12 @@ import zlib
 from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+
+from napari_hmrf.geometry import Geometry
 
 #: Fields of the header used in this module, with their offsets in bytes.
 _HEADER = np.dtype(
@@ -51,26 +53,8 @@ _REAL = {16: "f4", 64: "f8"}
 _TO_LPS = np.array([-1.0, -1.0, 1.0])
 
 
-class NiftiPlace(NamedTuple):
-    """Place of a NIfTI image in ITK's convention, in LPS, with the axes in the order x, y, z.
-
-    Attributes
-    ----------
-    spacing : ndarray, shape (3,)
-        Voxel size along each axis, in mm.
-    origin : ndarray, shape (3,)
-        Centre of the first voxel, in mm.
-    direction : ndarray, shape (3, 3)
-        Direction matrix: its columns are the directions of the axes.
-    """
-
-    spacing: npt.NDArray[np.float64]
-    origin: npt.NDArray[np.float64]
-    direction: npt.NDArray[np.float64]
-
-
-def place_in_nifti(path: Path) -> NiftiPlace | None:
-    """Read the place from a NIfTI-1 file; return None if there is no valid NIfTI-1 header."""
+def geometry_in_nifti(path: Path) -> Geometry | None:
+    """Read the grid of a NIfTI-1 file; return None if there is no valid NIfTI-1 header."""
     header = _header(path)
     if header is None:
         return None
@@ -78,7 +62,9 @@ def place_in_nifti(path: Path) -> NiftiPlace | None:
     spacing = np.linalg.norm(steps[:, :3], axis=0)
     if not (np.isfinite(steps).all() and (spacing > 0).all()):
         return None
-    return NiftiPlace(spacing, _TO_LPS * steps[:, 3], _TO_LPS[:, None] * (steps[:, :3] / spacing))
+    affine = np.eye(4)
+    affine[:3] = (_TO_LPS[:, None] * steps)[::-1, [2, 1, 0, 3]]
+    return Geometry(_shape(header)[::-1], affine)
 
 
 def _steps_by_matrix(header: Any) -> npt.NDArray[np.float64]:
@@ -116,8 +102,13 @@ def fault_in_nifti(path: Path) -> str:
         _steps_by_rotation(header),
         _steps_by_matrix(header),
         (int(header["by_rotation"]), int(header["by_matrix"])),
-        header["sizes"][1:4].astype(int).clip(min=1).tolist(),
+        _shape(header),
     )
+
+
+def _shape(header: Any) -> tuple[int, ...]:
+    """Return the number of voxels along x, y and z."""
+    return tuple(header["sizes"][1:4].astype(int).clip(min=1).tolist())
 
 
 def fault_of_places(

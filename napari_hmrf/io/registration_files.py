@@ -21,10 +21,10 @@ from napari_hmrf.errors import HmrfError, ProblemError, naming
 from napari_hmrf.extras import how_to_install
 from napari_hmrf.field.brightness import luminance
 from napari_hmrf.field.units import unit_symbol
-from napari_hmrf.io.apply import place_for
+from napari_hmrf.io.apply import geometry_for
 from napari_hmrf.io.case import read_case
 from napari_hmrf.io.case_options import Case
-from napari_hmrf.io.fields import place_of, write_mapping
+from napari_hmrf.io.fields import geometry_of, write_mapping
 from napari_hmrf.io.images import ImageFile, read_image, shape_of, stem_of, write_image
 from napari_hmrf.io.itk_files import has_simpleitk
 from napari_hmrf.io.landmark_files import LandmarkFile, read_points
@@ -516,11 +516,10 @@ def _in_pixels(
     whole = read_image(image)
     if not file.unit:
         whole.refuse_lengths(image.name, name)
-    place = place_for(file, whole.place, name, n)
-    at = place.to_pixels(points)
-    laid_out = whole.laid_out
-    if whole.ndim == 3 and whole.place is not None and laid_out.place is not None:
-        at = laid_out.place.to_pixels(whole.place.to_space(at))
+    at = geometry_for(file, whole.geometry, name, n).to_pixels(points)
+    laid_out = whole.laid_out.geometry
+    if whole.ndim == 3 and whole.geometry is not None and laid_out is not None:
+        at = laid_out.to_pixels(whole.geometry.to_world(at))
     return at[:, -n:]
 
 
@@ -567,8 +566,8 @@ def _notes_on(
 def _write_images(folder: Path, names: _Names, pair: _Pair, found: Registration) -> list[str]:
     """Write images and field; return notes about files that were not written."""
     grid, solution = pair.study.grid, found.solution
-    place = place_of(solution) if _is_placed(grid) else None
-    suffix = ".tif" if place is None else ".nrrd"
+    geometry = geometry_of(solution)
+    suffix = ".nrrd" if _is_placed(grid) else ".tif"
     image, other = pair.study.pictures.image, pair.other.pictures.image
     assert image is not None
     assert other is not None
@@ -578,12 +577,12 @@ def _write_images(folder: Path, names: _Names, pair: _Pair, found: Registration)
         names.jacobian: solution.jacobian(),
     }
     for name, pixels in pictures.items():
+        place = geometry if _is_placed(grid) else None
         file = ImageFile(pixels, place, colours=pixels.ndim > len(grid.shape))
         write_image(folder / f"{name}{suffix}", file)
     if not has_simpleitk():
         return [f"{names.field} was not written, because SimpleITK is not installed"]
-    at = place_of(solution)
-    write_mapping(folder / names.field, _whole_displacement(pair, found), **at._asdict())
+    write_mapping(folder / names.field, _whole_displacement(pair, found), **geometry.as_itk)
     return []
 
 

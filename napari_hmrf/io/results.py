@@ -14,7 +14,7 @@ from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.io.case import labels_of
-from napari_hmrf.io.fields import place_of
+from napari_hmrf.io.fields import geometry_of
 from napari_hmrf.io.images import PICTURE_SUFFIXES, ImageFile, read_image
 from napari_hmrf.io.overwriting import refuse_overwriting
 from napari_hmrf.io.study_file import read_solved
@@ -253,9 +253,9 @@ def image_of(path: Path, image: Path | None = None) -> tuple[Solution, npt.NDArr
 def _on_grid(path: Path, solution: Solution) -> ImageFile:
     """Read an image on the grid of a solution; the axes of a volume are reordered to match."""
     frame = Frame.of_solution(solution)
-    image, place = read_image(path), None if frame.unit == "pixel" else place_of(solution)
+    image, geometry = read_image(path), None if frame.unit == "pixel" else geometry_of(solution)
     if solution.tissue.ndim == 3:
-        image = image.laid_as(place, frame.file_axes or (0, 1, 2))
+        image = image.laid_as(geometry, frame.file_axes or (0, 1, 2))
     elif 1 in image.pixels.shape[: image.ndim]:  # a volume of one slice
         image = image.laid_out
     sizes, shape = image.pixels.shape[: image.ndim], solution.tissue.shape
@@ -265,5 +265,5 @@ def _on_grid(path: Path, solution: Solution) -> ImageFile:
             f"is {grid_in_words(sizes)}, but the field is {grid_in_words(shape)}. Give an image of "
             "the same size.",
         )
-    image.refuse_elsewhere(place, path.name, "the field")
+    image.refuse_elsewhere(geometry, path.name, "the field")
     return image

@@ -11,8 +11,8 @@ from napari_hmrf import read_study, solve_study, warp
 from napari_hmrf.augmentation import ground_truth
 from napari_hmrf.cli import main
 from napari_hmrf.errors import ArgumentError
+from napari_hmrf.geometry import Geometry
 from napari_hmrf.io.case import Case, read_case
-from napari_hmrf.io.fields import Place
 from napari_hmrf.io.images import ImageFile, read_image, write_image
 from napari_hmrf.landmarks import read_points
 
@@ -20,7 +20,7 @@ sitk = pytest.importorskip("SimpleITK")
 
 SHAPE = (40, 48)
 TURN = np.array([[0.8, -0.6], [0.6, 0.8]])
-PLACE = Place((0.5, 0.7), (-10.0, 20.0), TURN)
+PLACE = Geometry.of_itk(SHAPE, (0.5, 0.7), (-10.0, 20.0), TURN)
 
 
 def blob(shape, at, radius):
@@ -177,7 +177,7 @@ def test_a_volume_is_deformed(tmp_path):
     shape = (12, 14, 16)
     labels = np.ones(shape, np.uint8)
     labels[blob(shape, (6, 7, 8), 2.5)] = 2
-    place = Place((2.0, 0.5, 0.7), (-10.0, 20.0, 5.0), np.eye(3))
+    place = Geometry.of_itk(shape, (2.0, 0.5, 0.7), (-10.0, 20.0, 5.0), np.eye(3))
     write_image(tmp_path / "scan.mha", ImageFile(smooth_image(shape).astype(np.float32), place))
     write_image(tmp_path / "labels.mha", ImageFile(labels, place))
     (tmp_path / "m.csv").write_text("label,name,stiffness\n1,brain,3\n2,bone,rigid\n")
@@ -193,7 +193,7 @@ def test_a_volume_is_deformed(tmp_path):
 
 def test_the_field_of_a_volume_made_the_deformed_image_also_at_a_free_edge(tmp_path):
     shape = (14, 16, 18)
-    place = Place((2.0, 0.5, 0.7), (-10.0, 20.0, 5.0), np.eye(3))
+    place = Geometry.of_itk(shape, (2.0, 0.5, 0.7), (-10.0, 20.0, 5.0), np.eye(3))
     write_image(tmp_path / "scan.mha", ImageFile(smooth_image(shape).astype(np.float32), place))
     write_image(tmp_path / "labels.mha", ImageFile(np.ones(shape, np.uint8), place))
     (tmp_path / "m.csv").write_text("label,name,stiffness\n1,brain,3\n")
@@ -272,7 +272,7 @@ def test_invalid_arguments_are_reported_before_any_solve(files, capsys):
 
 def test_a_slice_of_a_volume_with_tissue_maps_keeps_its_position(tmp_path):
     shape = (5, *SHAPE)
-    place = Place((3.0, 0.5, 0.7), (-10.0, 20.0, 5.0), np.eye(3))
+    place = Geometry.of_itk(shape, (3.0, 0.5, 0.7), (-10.0, 20.0, 5.0), np.eye(3))
     second = np.broadcast_to(blob(SHAPE, (20, 24), 7), shape)
     maps = {"soft": 255 * ~second, "stiff": 255 * second}
     pictures = {"scan": smooth_image(shape).astype(np.float32)}

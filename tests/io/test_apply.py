@@ -18,8 +18,9 @@ from napari_hmrf import (
 )
 from napari_hmrf.cli import main
 from napari_hmrf.field.moved_points import moved_points
+from napari_hmrf.geometry import Geometry
 from napari_hmrf.io.apply import apply_field, read_field_file
-from napari_hmrf.io.fields import Place, write_field
+from napari_hmrf.io.fields import write_field
 from napari_hmrf.io.images import ImageFile, read_image, write_image
 from napari_hmrf.landmarks import read_points, write_points
 from tests.support.exchanged_fields import FieldCase
@@ -140,8 +141,8 @@ def test_a_note_counts_landmarks_in_other_slices_which_do_not_move(tmp_path, cap
     case.write(tmp_path / "back.mha")
     at = np.full((3, case.axes), 8.0)
     at[:, 0] = 0, 4, -0.4
-    place = read_field_file(tmp_path / "back.mha").place
-    write_points(tmp_path / "there.fcsv", place.to_space(at))
+    place = read_field_file(tmp_path / "back.mha").geometry
+    write_points(tmp_path / "there.fcsv", place.to_world(at))
     before = read_points(tmp_path / "there.fcsv").points
     out = tmp_path / "o"
     files = [str(tmp_path / name) for name in ("back.mha", "there.fcsv")]
@@ -183,7 +184,7 @@ def test_a_field_of_one_slice_moves_only_that_slice_of_a_volume(tmp_path):
     case.write(tmp_path / "field.nrrd")
     values = np.random.default_rng(3).random((5, *case.shape)).astype(np.float32)
     first = np.array(case.origin) - 2 * case.direction[:, 2] * case.spacing[0]
-    place = Place(case.spacing, tuple(first), case.direction)
+    place = Geometry.of_itk(values.shape, case.spacing, tuple(first), case.direction)
     write_image(tmp_path / "scan.nii.gz", ImageFile(values, place))
     field = read_field_file(tmp_path / "field.nrrd")
     apply_field(field, tmp_path / "scan.nii.gz", tmp_path / "moved.nii.gz", labels=False)
@@ -192,7 +193,8 @@ def test_a_field_of_one_slice_moves_only_that_slice_of_a_volume(tmp_path):
     np.testing.assert_allclose(
         moved[2], warp(values[2], field.displacement, spacing=field.spacing), atol=1e-6
     )
-    write_image(tmp_path / "other.nii.gz", ImageFile(values, place._replace(origin=(0, 0, 0))))
+    elsewhere = Geometry.of_itk(values.shape, case.spacing, (0, 0, 0), case.direction)
+    write_image(tmp_path / "other.nii.gz", ImageFile(values, elsewhere))
     with pytest.raises(
         ProblemError, match=r"other\.nii\.gz: has no slice at the place of the field"
     ):
@@ -203,7 +205,7 @@ def test_a_volume_moves_as_in_simpleitk(tmp_path):
     case = FieldCase("3-D")
     case.write(tmp_path / "field.mha")
     values = np.random.default_rng(3).random(case.shape)
-    place = Place(case.spacing, case.origin, case.direction)
+    place = Geometry.of_itk(values.shape, case.spacing, case.origin, case.direction)
     write_image(tmp_path / "scan.mha", ImageFile(values, place))
     transform = sitk.DisplacementFieldTransform(
         sitk.ReadImage(str(tmp_path / "field.mha"), sitk.sitkVectorFloat64)

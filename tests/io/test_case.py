@@ -26,9 +26,10 @@ from napari_hmrf import (
 )
 from napari_hmrf.cli import main
 from napari_hmrf.fields import write_field
+from napari_hmrf.geometry import Geometry
 from napari_hmrf.io.case import read_case, solve_case
 from napari_hmrf.io.case_options import Case
-from napari_hmrf.io.fields import Place, place_of
+from napari_hmrf.io.fields import geometry_of
 from napari_hmrf.io.images import ImageFile, read_image, write_image
 from napari_hmrf.io.tables import read_materials, read_rules
 from napari_hmrf.landmarks import write_points
@@ -40,7 +41,7 @@ sitk = pytest.importorskip("SimpleITK")
 
 SHAPE = (30, 36)
 TURN = np.array([[0.8, -0.6, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]])
-PLACE = Place((2.0, 0.5, 0.7), (-10.0, 20.0, 5.0), TURN)
+PLACE = Geometry.of_itk((3, *SHAPE), (2.0, 0.5, 0.7), (-10.0, 20.0, 5.0), TURN)
 
 
 @pytest.fixture
@@ -167,7 +168,7 @@ def test_the_shell_and_python_give_the_same_field(files, capsys):
     np.testing.assert_array_equal(study.pictures.image, scan[1])
     seen = read_image(out / "scan deformed.nrrd")
     assert seen.pixels.shape == SHAPE
-    np.testing.assert_allclose(seen.place.origin, (-10, 20, 7)), "the second slice"
+    np.testing.assert_allclose(seen.geometry.origin, (-10, 20, 7)), "the second slice"
     assert main(["replay", str(out / "scan.study")]) == 0
 
 
@@ -199,7 +200,7 @@ def test_a_slice_of_a_stack_without_a_place_stores_its_number(tmp_path):
     given = Case(tmp_path / "stack.tif", slice=2, hold_edge=True, **how)
     assert read_case(given).grid.place.index == (2, 0, 0)
     saved = solve_case(given, tmp_path / "out", backend="cpu")
-    assert place_of(saved.solution).origin == (0, 0, 2)
+    assert geometry_of(saved.solution).origin == (0, 0, 2)
     assert (tmp_path / "out" / "stack deformed.tif").exists(), (
         "the deformed stack was not written; it requires no SimpleITK"
     )
@@ -405,10 +406,10 @@ def test_a_registration_field_is_observed_at_the_edges_of_the_image(files):
 def test_a_field_of_a_volume_is_observed_on_the_solved_slice(files):
     folder, *_ = files
     # The field has other voxels at the same place and grows from slice to slice.
-    other = Place((2.0, 1.0, 1.0), PLACE.origin, PLACE.direction)
+    other = Geometry.of_itk((3, 18, 30), (2.0, 1.0, 1.0), PLACE.origin, PLACE.direction)
     d = np.zeros((3, 18, 30, 3))
     d[..., 1] = 0.5 * np.arange(3)[:, None, None]
-    place = {"spacing": other.spacing, "origin": other.origin, "direction": other.direction}
+    place = other.as_itk
     write_field(folder / "Warp.nii.gz", d, **place)
     study = read_case(case(folder, boundary=folder / "Warp.nii.gz"))
     known = study.motion.confidence > 0
@@ -427,7 +428,7 @@ def test_a_field_in_millimetres_moves_an_image_without_unit_in_pixels(tmp_path):
     d = np.zeros((*SHAPE, 2))
     d[..., 0], d[..., 1] = 1.0, -0.5
     for name, size in (("photo.png", 1.0), ("scan.mha", 0.5)):
-        place = None if size == 1 else Place((size,) * 2, (0.0, 0.0), np.eye(2))
+        place = None if size == 1 else Geometry.at_origin(SHAPE, (size,) * 2, "millimeter")
         write_image(tmp_path / name, ImageFile(np.ones(SHAPE, np.uint8), place))
     write_field(tmp_path / "mm.mha", d, spacing=(0.5, 0.25), forward=True)
     study = read_case(Case(tmp_path / "photo.png", boundary=tmp_path / "mm.mha"))
@@ -451,7 +452,7 @@ def test_a_field_of_a_picture_moves_a_scan_with_the_same_pixels(tmp_path):
     study = Study(grid, Tissue(stiffness=np.ones(SHAPE)), motion)
     solution = solve_study(study, backend="cpu")
     path = write_study(tmp_path / "photo.study", study, solution)
-    place = Place((0.5, 0.5), (7.0, 9.0), np.eye(2))
+    place = Geometry.of_itk(SHAPE, (0.5, 0.5), (7.0, 9.0), np.eye(2))
     write_image(tmp_path / "scan.mha", ImageFile(np.ones(SHAPE, np.uint8), place))
     observed = read_case(Case(tmp_path / "scan.mha", boundary=path)).motion.observed
     np.testing.assert_allclose(observed, 0.5 * solution.displacement, atol=1e-5)
@@ -459,11 +460,11 @@ def test_a_field_of_a_picture_moves_a_scan_with_the_same_pixels(tmp_path):
 
 def test_an_image_of_the_same_size_at_another_place_is_refused(files, capsys):
     folder, scan, *_ = files
-    far = PLACE._replace(origin=(0.0, 0.0, 0.0))
+    far = Geometry.of_itk(PLACE.shape, PLACE.spacing, (0.0, 0.0, 0.0), PLACE.direction)
     write_image(folder / "far.nii.gz", ImageFile(np.ones(scan.shape, np.uint8), far))
     with pytest.raises(ProblemError, match=r"far\.nii\.gz: is not in the same place as the image"):
         read_case(case(folder, labels=folder / "far.nii.gz"))
-    write_field(folder / "f.mha", np.zeros((*scan.shape, 3)), **PLACE._asdict())
+    write_field(folder / "f.mha", np.zeros((*scan.shape, 3)), **PLACE.as_itk)
     assert main(["apply", *(str(folder / each) for each in ("f.mha", "far.nii.gz"))]) == 1
     assert "far.nii.gz: is not in the same place as the field" in capsys.readouterr().err
     how = {"boundary": folder / "rim.png", "rules": folder / "r.csv"}
@@ -478,7 +479,7 @@ def test_an_image_of_the_same_size_at_another_place_is_refused(files, capsys):
 
 def test_labels_of_one_slice_fit_the_slice_at_their_own_place(files):
     folder, _, labels, _ = files
-    place = PLACE._replace(origin=(-10.0, 20.0, 7.0))
+    place = PLACE.slice_at(1)
     write_image(folder / "own.nrrd", ImageFile(labels[np.newaxis], place))
     given = case(folder, labels=folder / "own.nrrd", hold_edge=True)
     np.testing.assert_array_equal(read_case(given).tissue.labels, labels)
@@ -490,11 +491,11 @@ def test_a_field_moves_a_sagittal_slice_of_a_volume(tmp_path):
     side = np.array(
         [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]]
     )  # The directions of a sagittal scan.
-    place = Place((2.0, 0.5, 0.7), (3.0, 4.0, 5.0), side)
+    place = Geometry.of_itk((4, *SHAPE), (2.0, 0.5, 0.7), (3.0, 4.0, 5.0), side)
     write_image(tmp_path / "side.mha", ImageFile(np.ones((4, *SHAPE), np.uint8), place))
     d = np.zeros((4, *SHAPE, 3))
     d[..., 1], d[..., 2] = 1.0, -0.6
-    write_field(tmp_path / "field.mha", d, **place._asdict(), forward=True)
+    write_field(tmp_path / "field.mha", d, **place.as_itk, forward=True)
     given = Case(tmp_path / "side.mha", slice=2, boundary=tmp_path / "field.mha")
     study = read_case(given)
     assert study.grid.place.spacing == pytest.approx(study.grid.spacing) == (0.5, 0.7)

@@ -93,7 +93,7 @@ def test_a_volume_is_read_in_the_order_of_its_positions_beside_other_files(tmp_p
         write_slice(folder / f"s{number}.dcm", (0, 0, depth), value=depth)
     (folder / ".DS_Store").write_bytes(b"Mac")
     image = read_image(folder)
-    assert image.place.spacing[0] == 2
+    assert image.geometry.spacing[0] == 2
     assert image.pixels[:, 0, 0].tolist() == [0, 2, 4, 6]
     assert is_scan(folder)
 
@@ -245,7 +245,7 @@ def test_the_unit_of_an_nrrd_counts(tmp_path):
     sitk.WriteImage(image, str(path))
     head, _, rest = path.read_bytes().partition(b"\n\n")
     path.write_bytes(head + b'\nspace units: "um" "um" "um"\n\n' + rest)
-    assert read_image(path).place.spacing == pytest.approx((2.0, 0.5, 0.5))
+    assert read_image(path).geometry.spacing == pytest.approx((2.0, 0.5, 0.5))
     path.write_bytes(head + b'\nspace units: "um" "mm" "s"\n\n' + rest)
     with pytest.raises(FileFormatError, match="units"):
         read_image(path)

@@ -41,9 +41,9 @@ def test_the_images_have_the_place_of_the_exported_displacement(tmp_path, slice_
     for path, values in zip(paths, (result.along, *np.moveaxis(result.sd, -1, 0)), strict=True):
         image = read_image(path)
         np.testing.assert_allclose(image.pixels, values, rtol=1e-6)
-        np.testing.assert_allclose(image.place.spacing, field.spacing, rtol=1e-6)
-        np.testing.assert_allclose(image.place.origin, field.origin, atol=1e-4)
-        np.testing.assert_allclose(image.place.direction, field.direction, atol=1e-6)
+        np.testing.assert_allclose(image.geometry.spacing, field.spacing, rtol=1e-6)
+        np.testing.assert_allclose(image.geometry.origin, field.origin, atol=1e-4)
+        np.testing.assert_allclose(image.geometry.direction, field.direction, atol=1e-6)
 
 
 def test_values_are_in_mm_and_images_without_a_place_are_pictures_or_at_the_origin(tmp_path):
@@ -53,7 +53,7 @@ def test_values_are_in_mm_and_images_without_a_place_are_pictures_or_at_the_orig
     result.export(tmp_path / "sd.nrrd", placed=False)
     image = read_image(tmp_path / "sd.nrrd")
     np.testing.assert_allclose(image.pixels, 10 * result.along, rtol=1e-6)
-    np.testing.assert_allclose(image.place.spacing, 1.0)
+    np.testing.assert_allclose(image.geometry.spacing, 1.0)
     result.export(tmp_path / "sd.tif")
     np.testing.assert_array_equal(read_image(tmp_path / "sd.tif").pixels, result.along)
     np.testing.assert_array_equal(read_image(tmp_path / "sd-col.tif").pixels, result.sd[..., 1])

@@ -8,9 +8,10 @@ from napari_hmrf.cli import main
 from napari_hmrf.data import head_phantom
 from napari_hmrf.field.frame import PATIENT_AXES
 from napari_hmrf.fields import write_field
+from napari_hmrf.geometry import Geometry
 from napari_hmrf.io.case import read_case
 from napari_hmrf.io.case_options import Case
-from napari_hmrf.io.fields import Place, place_of
+from napari_hmrf.io.fields import geometry_of
 from napari_hmrf.io.images import ImageFile, read_image, write_image
 from napari_hmrf.io.tables import read_rules
 from napari_hmrf.landmarks import write_points
@@ -35,8 +36,10 @@ def head():
 def files(head, tmp_path_factory):
     """Write a head with its labels in axial and in sagittal order, and its tables."""
     folder = tmp_path_factory.mktemp("head")
-    place = Place(head.spacing, (-70.0, -90.0, -70.0), np.eye(3))
-    turned = Place(head.spacing, (-70.0, -90.0, 66.0), SIDEWAYS)
+    shape = head.image.shape
+    place = Geometry.of_itk(shape, head.spacing, (-70.0, -90.0, -70.0), np.eye(3))
+    from_side = shape[2], shape[0], shape[1]
+    turned = Geometry.of_itk(from_side, head.spacing, (-70.0, -90.0, 66.0), SIDEWAYS)
     images = {"t1": head.image, "labels": head.tissue_labels, "rim": head.boundary_labels}
     for name, pixels in images.items():
         write_image(folder / f"{name}.nii.gz", ImageFile(pixels, place))
@@ -74,7 +77,7 @@ def test_the_shell_and_python_give_the_same_field_of_a_volume(head, grown):
     seen = read_image(out / "t1 deformed.nrrd")
     assert seen.pixels.shape == head.image.shape
     assert (seen.pixels != head.image).any()
-    np.testing.assert_allclose(seen.place.origin, (-70, -90, -70))
+    np.testing.assert_allclose(seen.geometry.origin, (-70, -90, -70))
 
 
 def test_the_result_of_a_volume_is_replayed_exported_applied_and_measured(grown, files, capsys):
@@ -112,7 +115,7 @@ def test_a_sagittal_volume_is_reordered_together_with_its_labels(grown, files):
     far = np.linalg.norm(d - expected.displacement, axis=-1)
     assert far.max() < 0.5, "the fields differ by more than the choice between equally near normals"
     assert far.mean() < 0.005
-    assert place_of(solution).origin == pytest.approx((-70, -90, 66))
+    assert geometry_of(solution).origin == pytest.approx((-70, -90, 66))
 
 
 def test_maps_and_labels_without_a_place_have_the_voxels_of_the_image(files, head):
@@ -121,7 +124,7 @@ def test_maps_and_labels_without_a_place_have_the_voxels_of_the_image(files, hea
     case = Case(files / "t1-side.mha", labels=files / "bare.tif", hold_edge=True)
     np.testing.assert_array_equal(read_case(case).tissue.labels, head.tissue_labels[::-1])
     maps = [files / f"map{label}.mha" for label in (1, 3)]
-    place = read_image(files / "t1.nii.gz").place
+    place = read_image(files / "t1.nii.gz").geometry
     for path, label in zip(maps, (1, 3), strict=True):
         likely = (head.tissue_labels == label).astype(np.float32)
         write_image(path, ImageFile(likely, place))
@@ -138,9 +141,9 @@ def test_landmarks_in_physical_units_move_tissue_between_slices(files, image):
     study = read_case(Case(files / image, boundary=files / "pairs.csv", hold_edge=True))
     (mark,) = study.motion.drawing.marks
     # BigWarp's points are in the unit of the image, relative to the first voxel, in file axes.
-    first = volume.place.to_space(np.array(where) / volume.place.spacing)
-    last = volume.place.to_space(np.array(should) / volume.place.spacing)
-    upright = volume.upright.place
+    first = volume.geometry.to_world(np.array(where) / volume.geometry.spacing)
+    last = volume.geometry.to_world(np.array(should) / volume.geometry.spacing)
+    upright = volume.upright.geometry
     np.testing.assert_allclose([mark.source], upright.to_pixels(first), atol=1e-6)
     np.testing.assert_allclose([mark.target], upright.to_pixels(last), atol=1e-6)
 
@@ -148,10 +151,10 @@ def test_landmarks_in_physical_units_move_tissue_between_slices(files, image):
 def test_a_field_is_observed_in_a_whole_volume_or_at_its_edges(files, head):
     d = np.zeros((*head.image.shape, 3))
     d[..., 0] = 1.5
-    place = read_image(files / "t1.nii.gz").place
-    write_field(files / "field.mha", d, **place._asdict(), forward=True)
+    place = read_image(files / "t1.nii.gz").geometry
+    write_field(files / "field.mha", d, **place.as_itk, forward=True)
     back = files / "back.nii.gz"
-    write_field(back, d, **place._asdict())
+    write_field(back, d, **place.as_itk)
     study = read_case(Case(files / "t1.nii.gz", boundary=back))
     known = study.motion.confidence > 0
     assert known.mean() > 0.7
@@ -200,7 +203,7 @@ def test_the_paper_model_of_a_volume_reports_unconnected_tissue(tmp_path, capsys
 
 
 def test_an_image_at_another_place_or_of_another_size_is_refused_by_name(files, head):
-    place = read_image(files / "t1.nii.gz").place._replace(origin=(0.0, 0.0, 0.0))
+    place = Geometry.at_origin(head.image.shape, head.spacing, "millimeter")
     write_image(files / "far.mha", ImageFile(head.tissue_labels, place))
     with pytest.raises(ProblemError, match=r"far\.mha: is not in the same place as the image"):
         read_case(Case(files / "t1.nii.gz", labels=files / "far.mha"))
@@ -210,7 +213,7 @@ def test_an_image_at_another_place_or_of_another_size_is_refused_by_name(files, 
 
 
 def test_labels_with_reversed_axes_are_laid_as_the_image(files, head):
-    place = read_image(files / "t1.nii.gz").place
+    place = read_image(files / "t1.nii.gz").geometry
     labels = ImageFile(head.tissue_labels, place).reversed_along((1, 2))
     write_image(files / "turned.nii.gz", labels)
     case = Case(files / "t1.nii.gz", labels=files / "turned.nii.gz", hold_edge=True)

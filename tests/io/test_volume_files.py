@@ -25,8 +25,9 @@ from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.inverse_field import inverse_displacement
 from napari_hmrf.field.moved_points import moved_points
 from napari_hmrf.fields import is_study_file, read_field, write_movie
+from napari_hmrf.geometry import Geometry
 from napari_hmrf.io.apply import apply_field, read_field_file
-from napari_hmrf.io.fields import Place, export_field, place_of
+from napari_hmrf.io.fields import export_field, geometry_of
 from napari_hmrf.io.figures import write_result_pictures
 from napari_hmrf.io.images import ImageFile, read_image, write_image
 from napari_hmrf.io.results import measured
@@ -45,7 +46,7 @@ def oblique():
     return turn * np.sign(np.linalg.det(turn))
 
 
-PLACE = Place(SIZE, ORIGIN, oblique())
+PLACE = Geometry.of_itk(SHAPE, SIZE, ORIGIN, oblique())
 
 
 def smooth_image():
@@ -73,7 +74,7 @@ def solution():
     y[rows > 14] = (1.5, 2.0, -0.6)
     problem = Problem(observed=y, confidence=c, stiffness=tissue.astype(float), spacing=SIZE)
     found = solve(problem, backend="cpu")
-    return replace(found, frame=PLACE.frame(volume=True).as_dict())
+    return replace(found, frame=Frame.of_geometry(PLACE, volume=True).as_dict())
 
 
 def moved(image, solution, **options):
@@ -95,12 +96,12 @@ def inner(tissue):
 
 
 def test_the_place_of_a_volume_is_the_place_of_its_frame(solution):
-    found = place_of(solution)
+    found = geometry_of(solution)
     np.testing.assert_allclose(found.spacing, SIZE)
     np.testing.assert_allclose(found.origin, ORIGIN)
     np.testing.assert_allclose(found.direction, PLACE.direction, atol=1e-12)
     film = Frame.at((2.0, *SIZE), ("s", *("mm",) * 3), index=(1, 0, 0, 0), volume=True)
-    assert place_of(replace(solution, frame=film.as_dict())).spacing == SIZE
+    assert geometry_of(replace(solution, frame=film.as_dict())).spacing == SIZE
 
 
 def test_simpleitk_and_warp_move_a_volume_alike(solution, tmp_path):
@@ -142,12 +143,12 @@ def test_the_place_of_a_field_does_not_depend_on_the_order_of_its_axes(solution,
         displacement=solution.displacement.transpose(*plane, 3)[..., list(plane)],
         tissue=solution.tissue.transpose(plane),
         spacing=tuple(SIZE[axis] for axis in plane),
-        frame=replace(PLACE.frame(volume=True), plane=plane).as_dict(),
+        frame=replace(Frame.of_geometry(PLACE, volume=True), plane=plane).as_dict(),
     )
     first = sitk.DisplacementFieldTransform(field_image(sitk, solution, tmp_path / "a.mha"))
     other = sitk.DisplacementFieldTransform(field_image(sitk, turned, tmp_path / "b.mha"))
     index = np.random.default_rng(0).uniform(2, np.array(SHAPE) - 3, (30, 3))
-    for at in PLACE.to_space(index)[:, ::-1]:
+    for at in PLACE.to_world(index)[:, ::-1]:
         np.testing.assert_allclose(
             first.TransformPoint(at.tolist()), other.TransformPoint(at.tolist()), atol=1e-5
         )
@@ -192,7 +193,7 @@ def test_images_labels_and_landmarks_move_with_the_result_of_a_volume(solution, 
     images = [str(tmp_path / f"{name}.mha") for name in ("scan", "colours")]
     at = np.array([[8.0, 15.0, 9.0], [7.5, 9.25, 8.5]])
     write_points(tmp_path / "voxels.csv", at)
-    write_points(tmp_path / "patient.mrk.json", PLACE.to_space(at))
+    write_points(tmp_path / "patient.mrk.json", PLACE.to_world(at))
     points = [str(tmp_path / name) for name in ("voxels.csv", "patient.mrk.json")]
     assert main(["apply", result, *images, *points, "-o", out]) == 0
     assert main(["apply", result, str(tmp_path / "labels.mha"), "--labels", "-o", out]) == 0
@@ -202,7 +203,7 @@ def test_images_labels_and_landmarks_move_with_the_result_of_a_volume(solution, 
     np.testing.assert_array_equal(read["scan"].pixels, moved(scan, solution))
     np.testing.assert_array_equal(read["labels"].pixels, moved(labels, solution, order=0))
     np.testing.assert_array_equal(read["colours"].pixels, moved(colours, solution))
-    np.testing.assert_allclose(read["scan"].place.origin, ORIGIN)
+    np.testing.assert_allclose(read["scan"].geometry.origin, ORIGIN)
     goes = moved_points(at, solution.displacement, spacing=SIZE)
     assert np.abs(goes - at).max() > 1
     np.testing.assert_allclose(read_points(tmp_path / "out/voxels.csv").points, goes, atol=1e-6)
@@ -217,7 +218,7 @@ def test_the_shell_reports_that_loops_for_volumes_are_compiled(
     pytest.importorskip("SimpleITK")
     monkeypatch.setattr(loader, "is_cached", lambda loop: ready)
     solution.write(tmp_path / "result.npz")
-    write_image(tmp_path / "scan.nii.gz", ImageFile(smooth_image(), place_of(solution)))
+    write_image(tmp_path / "scan.nii.gz", ImageFile(smooth_image(), geometry_of(solution)))
     command = ["apply", tmp_path / "result.npz", tmp_path / "scan.nii.gz", "-o", tmp_path / "out"]
     assert main([str(each) for each in command]) == 0
     said = capsys.readouterr().err
@@ -230,7 +231,7 @@ def test_an_image_with_another_order_of_axes_is_reordered_to_the_result(solution
     pytest.importorskip("SimpleITK")
     # The column axis is stored first, as by some scanners.
     turn = np.eye(3)[:, [1, 2, 0]]
-    stored = ImageFile(smooth_image(), Place(SIZE, ORIGIN, turn))
+    stored = ImageFile(smooth_image(), Geometry.of_itk(SHAPE, SIZE, ORIGIN, turn))
     assert stored.upright.pixels.shape != SHAPE
     write_image(tmp_path / "scan.mha", stored)
     order = [SHAPE.index(size) for size in stored.upright.pixels.shape]
@@ -239,8 +240,8 @@ def test_an_image_with_another_order_of_axes_is_reordered_to_the_result(solution
         displacement=solution.displacement.transpose(*order, 3)[..., order],
         tissue=solution.tissue.transpose(order),
         elasticity=solution.elasticity.mapped(lambda values: values.transpose(order)),
-        spacing=stored.upright.place.spacing,
-        frame=stored.upright.place.frame(volume=True).as_dict(),
+        spacing=stored.upright.geometry.spacing,
+        frame=Frame.of_geometry(stored.upright.geometry, volume=True).as_dict(),
     )
     upright.write(tmp_path / "result.npz")
     field = read_field_file(tmp_path / "result.npz")
@@ -249,7 +250,9 @@ def test_an_image_with_another_order_of_axes_is_reordered_to_the_result(solution
     np.testing.assert_allclose(
         seen.pixels, moved(smooth_image(), solution).transpose(order), atol=1e-4
     )
-    labels = ImageFile((smooth_image() > 100).astype(np.uint8), Place(SIZE, ORIGIN, turn))
+    labels = ImageFile(
+        (smooth_image() > 100).astype(np.uint8), Geometry.of_itk(SHAPE, SIZE, ORIGIN, turn)
+    )
     there = solution.tissue & (smooth_image() > 100)
     for axes in ((), (1,), (0, 2)):  # RAS and LPS differ by two reversed axes
         write_image(tmp_path / "labels.mha", labels.reversed_along(axes))
@@ -284,7 +287,7 @@ def make_study(solution, **changes):
     observed = np.where(c > 0, 0.5, 0).astype(np.float32)
     colours = np.stack([(smooth_image() // 2).astype(np.uint8)] * 3, axis=-1)
     return Study(
-        changes.get("grid", Grid(SHAPE, SIZE, "millimeter", PLACE.frame(volume=True))),
+        changes.get("grid", Grid(SHAPE, SIZE, "millimeter", Frame.of_geometry(PLACE, volume=True))),
         tissue,
         Motion(labels=tissue.labels.astype(np.int32), observed=observed, confidence=c),
         pictures=Pictures(colours, tissue.labels, "scan", "labels"),
@@ -311,14 +314,14 @@ def test_a_study_of_a_volume_is_read_back_unchanged(solution, tmp_path):
     assert Frame.of_solution(saved.solution) == study.grid.place
     field = read_field_file(path)
     np.testing.assert_array_equal(field.displacement, solution.displacement)
-    np.testing.assert_allclose(field.place.direction, PLACE.direction, atol=1e-12)
+    np.testing.assert_allclose(field.geometry.direction, PLACE.direction, atol=1e-12)
     assert len(measured(path).rows) == 1
 
 
 def test_a_volume_with_the_place_of_a_slice_is_refused(solution, tmp_path):
     with pytest.raises(ProblemError, match=r"has 3 axes, but its place has 2"):
-        Grid(SHAPE, SIZE, "millimeter", PLACE.frame(3))
-    odd = replace(solution, frame=PLACE.frame(3).as_dict())
+        Grid(SHAPE, SIZE, "millimeter", Frame.of_geometry(PLACE, 3))
+    odd = replace(solution, frame=Frame.of_geometry(PLACE, 3).as_dict())
     odd.write(tmp_path / "result.npz")
     with pytest.raises((FileFormatError, ValueError)):
         Frame.of_solution(Solution.read(tmp_path / "result.npz"))

@@ -14,7 +14,7 @@ from napari_hmrf import Arrow, Drawing
 from napari_hmrf.contributions import open_scan
 from napari_hmrf.field.directions import Directions
 from napari_hmrf.field.frame import PATIENT_AXES
-from napari_hmrf.io.fields import Place
+from napari_hmrf.geometry import Geometry
 from napari_hmrf.io.images import ImageFile, write_image
 from napari_hmrf.layers.compat import camera_of
 from napari_hmrf.layers.slice_view import Sides, View, directions_of, frame_of
@@ -35,12 +35,11 @@ DIRECTIONS = {
 
 def head(folder, direction=DIRECTIONS["LPS"]):
     """Write a head with a bright mark at the patient's left, front and top; return the path."""
-    place = Place((1.0, 1.0, 1.0), (0.0, 0.0, 0.0), direction)
     pixels = np.full((24, 24, 24), 60, np.int16)
     at = (direction.T @ [8, -8, 8] + 11.5).round().astype(int)  # In the order x, y, z of the file.
     pixels[tuple(at[::-1])] = 200
     centre = direction @ np.full(3, 11.5)
-    place = place._replace(origin=tuple(-centre))
+    place = Geometry.of_itk(pixels.shape, (1.0, 1.0, 1.0), tuple(-centre), direction)
     return str(write_image(folder / "head.nii.gz", ImageFile(pixels, place)))
 
 

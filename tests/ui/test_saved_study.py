@@ -28,7 +28,7 @@ from napari_hmrf import (
 from napari_hmrf.cli import main
 from napari_hmrf.contributions import write_solution
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.io.fields import place_of
+from napari_hmrf.io.fields import geometry_of
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, layer_metadata
 from napari_hmrf.tissue import StiffnessCurve
 from napari_hmrf.tissue.drawing.patch_motion import PatchMotion
@@ -247,7 +247,7 @@ def test_a_slice_opened_and_saved_again_retains_its_place_in_the_volume(
     run(stack)
     again = stack.save_study(tmp_path / "again")
     for each in (path, again):
-        place = place_of(read_study(each).solution)
+        place = geometry_of(read_study(each).solution)
         np.testing.assert_allclose(place.origin[::-1], corner)
         np.testing.assert_allclose(place.spacing, (3.0, 0.5, 0.8))
 

@@ -364,9 +364,9 @@ def head_from_files(image: Path, tissue: list[Path], voxel: float) -> Head:
         Size of a voxel in mm; the volume is sampled at every n-th voxel.
     """
     read = read_image(image)
-    if read.place is None or read.pixels.ndim != 3:
+    if read.geometry is None or read.pixels.ndim != 3:
         raise SystemExit(f"{image} is not a volume with a place in mm. Pass a NIfTI file")
-    steps = [max(1, round(voxel / size)) for size in read.place.spacing]
+    steps = [max(1, round(voxel / size)) for size in read.geometry.spacing]
 
     def sampled(pixels: Array) -> Array:
         smooth = [step / 2.5 if step > 1 else 0 for step in steps]
@@ -386,7 +386,7 @@ def head_from_files(image: Path, tissue: list[Path], voxel: float) -> Head:
     else:
         brain = ndimage.binary_opening(pixels > 0.25 * np.quantile(pixels, 0.99), iterations=2)
         m[brain] = _GREY
-    spacing = tuple(step * size for step, size in zip(steps, read.place.spacing, strict=True))
+    spacing = tuple(step * size for step, size in zip(steps, read.geometry.spacing, strict=True))
     name = f"{image.name.split('.')[0]}-{spacing[0]:g}mm"
     return Head(name, pixels / pixels.max(), brain, m, spacing)
 
