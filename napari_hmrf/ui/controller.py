@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -19,7 +18,6 @@ from napari_hmrf.layers.painted_overlay import ShownDeformation
 from napari_hmrf.layers.read import NoImageError, StudyReader
 from napari_hmrf.layers.result_layers import CompleteResult
 from napari_hmrf.layers.slice_view import View, directions_of, plane_shown, view_of
-from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.study.drag_preview import as_dragged, drag_preview
 from napari_hmrf.study.engine import Deformation
 from napari_hmrf.study.session import Session
@@ -30,6 +28,7 @@ from napari_hmrf.ui.curve.curve_layer import CurveLayer
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.events import single_shot
 from napari_hmrf.ui.form_binding import FormBinding
+from napari_hmrf.ui.jobs import Jobs
 from napari_hmrf.ui.motion.pointer import Pointer
 from napari_hmrf.ui.solving import PacedEngine, SolveProgress
 
@@ -60,6 +59,8 @@ class Controller:
         True while a cold-start solve is in progress.
     curve_layer : CurveLayer
         Layer that shows the stiffness of the tissue if a curve defines it.
+    jobs : Jobs
+        Background jobs of the dock.
     engine : PacedEngine
     progress : SolveProgress
     """
@@ -97,20 +98,15 @@ class Controller:
         self._is_unread = False
         self.reader = StudyReader(viewer, session, binding.settle)
         self.settling = False
-        self.engine = PacedEngine(self._on_answer, self._on_complete)
+        self.jobs = Jobs()
+        self.engine = PacedEngine(self.jobs, self._on_answer, self._on_complete)
         self._submitted: Study | None = None
         # Reason why the tissue is not updated, report on the last result, and last emitted message.
         self._failure = self._report = self._last_message = ""
         self._refresh_timer = single_shot(native, 0, self.refresh)
         self._complete_timer = single_shot(native, _REST, self.complete)
-        #: Returns the progress of the overlay of the result, or None.
-        self.overlay_monitor: Callable[[], Monitor | None] = lambda: None
         self.progress = SolveProgress(
-            native,
-            form.footer,
-            self.engine,
-            lambda: self._is_working,
-            lambda: self.overlay_monitor(),
+            native, form.footer, self.jobs, self.engine, lambda: self._is_working
         )
         self.curve_layer = CurveLayer(viewer, form.tissue.editor)
         form.footer.live.changed.connect(self.schedule_refresh)
@@ -252,7 +248,8 @@ class Controller:
     def release(self) -> None:
         """Stop responding to edits permanently."""
         self._is_released = True
-        self.engine.release()
+        self.engine.close()
+        self.jobs.release()
 
     # Solving and showing
 

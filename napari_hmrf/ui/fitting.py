@@ -2,64 +2,44 @@
 
 from __future__ import annotations
 
-import threading
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
 from napari_hmrf.posterior.fit import Fit
 from napari_hmrf.posterior.study_fit import StudyFit, fit_study
-from napari_hmrf.registration.study_registration import SecondPicture
 from napari_hmrf.study.session import Part, Session
-from napari_hmrf.study.study import Study
 from napari_hmrf.study.support import supports
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.ui.controller import Controller
-from napari_hmrf.ui.events import EventConnections
 from napari_hmrf.ui.fit_window import NOTHING, FitWindow
-from napari_hmrf.ui.pair_job import JobWords, PairJob
-from napari_hmrf.ui.registration_form import RegistrationForm
+from napari_hmrf.ui.pair_job import PairJob
 
-_WORDS = JobWords("Fitting", "The fit was cancelled; nothing was changed.", "Nothing was fitted.")
 _INVALID = "Nothing was fitted, because the study is invalid; the dock shows the reason."
 #: Message after a fit of a registered slice.
 _UNREGISTERED = "The registration was removed; Undo restores it."
 
 
-class Fitting:
-    """Fit of properties in the tissue table to the second image, as one undo step.
+class Fitting(PairJob):
+    """Fit of properties in the tissue table to the second image, as one undo step."""
 
-    The fit runs on the compute thread. Edits during the fit have their effect when it has ended.
-
-    Parameters
-    ----------
-    controller : Controller
-    session : Session
-        Session with the tissue table, which receives the fitted values.
-    """
+    doing = "Fitting"
+    cancelled = "The fit was cancelled; nothing was changed."
+    failed = "Nothing was fitted."
 
     def __init__(self, controller: Controller, session: Session) -> None:
-        self._controller, self._session = controller, session
-        self._form: RegistrationForm = controller.form.result.registration
-        #: Job that fits the tissues.
-        self.job = PairJob(controller, _WORDS, self._show_outcome)
         self._window: FitWindow | None = None
         self._ticked: dict[str, set[int]] = {}
         # Latest fit, and the tissue table that it made.
         self._found: tuple[Fit, object] | None = None
+        super().__init__(controller, session)
         self._form.fit.changed.connect(self.open)
-        self._connections = EventConnections(
-            (session.changed, self._on_changed),
-            (controller.slice_changed, self._refresh),
-            (controller.form.result.second.changed, self._refresh),
-        )
-        self._refresh()
+        self.message.connect(self._show_outcome)
 
     def open(self, *_: Any) -> None:
         """Open the window in which the user ticks the unknown properties."""
         if self._window is None:
-            native = self._controller.form.result.registration.native
-            self._window = FitWindow(native.window(), self.start, self.job.cancel)
+            self._window = FitWindow(self._form.native.window(), self.start, self.cancel)
             self._ticked = {"growth": {row.label for row in self._rows if row.grows}}
         self._window.show_outcome("")
         if not self._window.isVisible():
@@ -70,25 +50,24 @@ class Fitting:
     def start(self) -> None:
         """Fit the ticked properties in the background."""
         window = self._window
-        if window is None or self.job.busy:
+        if window is None or self.busy:
             return
         self._ticked = window.ticked
         if not any(self._ticked.values()):
             window.show_outcome(NOTHING)
             return
-        pair = self.job.read_pair()
+        pair = self._read_pair()
         if pair is None:
             window.show_outcome(_INVALID)
             return
-        finish = partial(self._finish, self._part, self._session.measured_part)
-        self.job.start(partial(self._run, *pair, self._ticked), finish)
+        labels: dict[str, Any] = {name: sorted(each) for name, each in self._ticked.items()}
+        work = partial(fit_study, *pair, progress=self._controller.engine.report, **labels)
+        self._run(work, partial(self._store, self._part, self._session.measured_part))
         window.show_outcome("Fitting ...")
-        self._refresh()
 
     def release(self) -> None:
-        """Stop all work, close the window, and disconnect from all events."""
-        self.job.release()
-        self._connections.release()
+        """Close the window, and disconnect from all events."""
+        super().release()
         if self._window is not None:
             self._window.close()
 
@@ -103,30 +82,11 @@ class Fitting:
         table = self._session.get(self._part)
         return [] if table is None else [row for row in table.rows if row.is_deformable]
 
-    def _run(
-        self,
-        study: Study,
-        second: SecondPicture,
-        ticked: dict[str, set[int]],
-        cancel: threading.Event,
-    ) -> StudyFit:
-        """Fit the study on the compute thread."""
-        progress = self._controller.engine.report
-        return fit_study(
-            study,
-            second,
-            growth=sorted(ticked["growth"]),
-            stiffness=sorted(ticked["stiffness"]),
-            poisson=sorted(ticked["poisson"]),
-            progress=progress,
-            cancel=cancel,
-        )
-
-    def _finish(self, part: Part, measured: Part, found: StudyFit) -> None:
+    def _store(self, part: Part, measured: Part, found: StudyFit) -> None:
         """Write the fitted values into the tissue table, as one step."""
         table = self._session.get(part)
         if table is None:  # the layer was removed
-            self.job.end("")
+            self._show_outcome("")
             return
         fitted = {row.label: row for row in found.study.tissue.materials}
         rows = []
@@ -147,13 +107,11 @@ class Fitting:
         if was_registered:
             parts.append(_UNREGISTERED)
         self._controller.follow_edit()
-        self.job.end(" ".join(parts))
+        self.message.emit(" ".join(parts))
 
     def _show_outcome(self, text: str) -> None:
-        """Show that no fit is running, and its outcome."""
         if self._window is not None:
             self._window.show_outcome(text)
-        self._refresh()
 
     def _on_changed(self, part: Part, *_: Any) -> None:
         """Refresh after an edit that a fit depends on; a drag changes only the drawing."""
@@ -163,9 +121,8 @@ class Fitting:
     def _refresh(self, *_: Any) -> None:
         """Enable the button, and show the current tissues in the window if it is open."""
         rows = self._rows
-        second = self._controller.form.result.second.value
         self._form.show_fit(
-            has_second=second is not None,
+            has_second=self._second.value is not None,
             has_tissues=bool(rows),
             is_elastic=supports(self._session.model.name, "fit"),
         )
@@ -174,6 +131,6 @@ class Fitting:
 
     def _show_window(self, window: FitWindow, ticked: dict[str, set[int]]) -> None:
         """Show the current tissues in the window, and whether a fit is running."""
-        window.show_busy(self.job.busy)
+        window.show_busy(self.busy)
         is_fitted = self._found is not None and self._found[1] == self._session.get(self._part)
         window.show_rows(self._rows, ticked, self._found[0] if self._found and is_fitted else None)

@@ -7,21 +7,30 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
+import psygnal
 from qtpy.QtCore import QCoreApplication, QEvent, QObject, Qt, Signal
 
 from napari_hmrf.errors import Cancelled, in_words
 from napari_hmrf.solver.latest_queue import LatestQueue, Turn
+from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.ui.events import single_shot
 from napari_hmrf.wording import in_words_of
 
 _log = logging.getLogger("napari_hmrf")
 T = TypeVar("T")
-# Description of these jobs in the messages of other jobs that wait for them.
+#: Description of a job in the messages of other jobs that wait for it.
 _DOING = "a picture that is being drawn"
 #: Function that is called without arguments.
 Call = Callable[[], object]
+#: Function that reports an error.
+Refuse = Callable[[Exception], object]
+
+
+def reason_of(error: Exception) -> str:
+    """Return the message of an error in the words of the window."""
+    return in_words_of("window", in_words(error))
 
 
 class GuiThread(QObject):
@@ -101,65 +110,109 @@ class _Pending(NamedTuple):
     turn: Turn
 
 
-class BackgroundJobs:
-    """Runner for jobs on the compute thread; a new job replaces a pending job of the same kind.
+class Jobs:
+    """Runner for all background jobs of a dock; a new job replaces a pending job of the same kind.
 
-    Jobs must reference only copies of data, and no Qt objects, because the caller may be deleted
-    before a job ends. All methods must be called on the GUI thread.
+    A job calls `work` in the background, which must reference only copies of data, and no Qt
+    objects, because the dock may be deleted before the job ends. Then `show` is called with the
+    result, or `refuse` with the error, unless the job was cancelled. By default, the reason of an
+    error is emitted as `refused`.
 
-    Parameters
+    All methods must be called on the GUI thread.
+
+    Attributes
     ----------
-    refuse : callable
-        Called with the error message if a job raises an error.
+    gui : GuiThread
+        Queue of calls on the GUI thread, also for other threads.
     """
 
-    def __init__(self, refuse: Callable[[str], object]) -> None:
-        self._refuse = refuse
-        self._pending: dict[str, _Pending] = {}
-        self._gui = GuiThread()
+    #: Emitted with the reason why a job has failed.
+    refused = psygnal.Signal(str)
 
-    def submit(self, kind: str, work: Callable[[], T], show: Callable[[T], object]) -> None:
-        """Submit a job; `show` is called with the result unless a newer job replaces this job.
+    def __init__(self) -> None:
+        self._pending: dict[str, _Pending] = {}
+        self._monitors: dict[str, Monitor] = {}
+        self.gui = GuiThread()
+
+    def submit(
+        self,
+        kind: str,
+        work: Callable[..., T],
+        show: Callable[[T], object],
+        refuse: Refuse | None = None,
+        *,
+        doing: str = _DOING,
+        yields: bool = False,
+    ) -> None:
+        """Submit a job.
 
         The result of a running job is shown even if a newer job is pending, so that the picture
         is updated during a drag.
-        """
-        pending = self._pending.get(kind)
-        queue = LatestQueue(_DOING) if pending is None else pending.queue
 
-        def job(turn: Turn) -> None:
+        Parameters
+        ----------
+        kind : str
+        work, show, refuse : callable
+            As described above.
+        doing : str
+            Description of the job and how to stop it, for work that waits for it.
+        yields : bool
+            If False, the job has the compute thread to itself. If True, it has a thread of its own,
+            so that edits are solved between two of its solves; `work` is then called with
+            `progress` and `cancel`, as `solve` is.
+        """
+
+        def run(turn: Turn, **how: Any) -> None:
+            call: Call | None = None
             try:
-                result = work()
+                call = partial(show, work(**how))
             except Cancelled:
-                raise
+                pass
             except Exception as error:  # noqa: BLE001 - every error is reported to the user
                 _log.debug("%s failed", kind, exc_info=True)
-                call = partial(self._refuse, in_words_of("window", in_words(error)))
-            else:
-                call = partial(show, result)
-            self._gui.submit(partial(self._finish, kind, turn, call))
+                call = partial(refuse or self._refuse, error)
+            self.gui.submit(partial(self._finish, kind, turn, call))
 
-        self._pending[kind] = _Pending(queue, queue.submit(job))
+        def start_thread(turn: Turn) -> None:
+            how = {"progress": partial(self._report, kind, turn), "cancel": turn}
+            threading.Thread(target=run, args=(turn,), kwargs=how, name=kind, daemon=True).start()
 
-    def busy(self, kind: str | None = None) -> bool:
-        """Return whether any job, or any job of the given kind, is unfinished."""
-        return bool(self._pending) if kind is None else kind in self._pending
+        pending = self._pending.get(kind)
+        queue = LatestQueue(doing) if pending is None else pending.queue
+        self._monitors[kind] = Monitor("starting", 0.0)
+        self._pending[kind] = _Pending(queue, queue.submit(start_thread if yields else run))
 
-    def cancel(self, kind: str | None = None) -> None:
-        """Drop all jobs, or all jobs of a kind; a running job stops at its next checkpoint."""
-        for each in [*self._pending] if kind is None else [kind]:
-            if each in self._pending:
-                self._pending.pop(each).queue.close()
+    def busy(self, *kinds: str) -> bool:
+        """Return whether any job, or any job of the given kinds, is unfinished."""
+        return any(kind in self._pending for kind in kinds or self._pending)
+
+    def monitor(self, kind: str) -> Monitor | None:
+        """Return the progress that an unfinished job of its own thread has reported, or None."""
+        return self._monitors[kind] if self.busy(kind) else None
+
+    def cancel(self, *kinds: str) -> None:
+        """Drop all jobs, or all jobs of the given kinds; a running job stops soon."""
+        for kind in kinds or [*self._pending]:
+            if kind in self._pending:
+                self._pending.pop(kind).queue.close()
 
     def release(self) -> None:
         """Drop all jobs, and stop delivering results."""
         self.cancel()
-        self._gui.release()
+        self.gui.release()
 
-    def _finish(self, kind: str, turn: Turn, call: Callable[[], object]) -> None:
+    def _report(self, kind: str, turn: Turn, monitor: Monitor) -> None:
+        if not turn.dropped:
+            self._monitors[kind] = monitor
+
+    def _refuse(self, error: Exception) -> None:
+        self.refused.emit(reason_of(error))
+
+    def _finish(self, kind: str, turn: Turn, call: Call | None) -> None:
         if turn.dropped:
             return
         pending = self._pending.get(kind)
         if pending is not None and pending.turn is turn:
             del self._pending[kind]
-        call()
+        if call is not None:
+            call()

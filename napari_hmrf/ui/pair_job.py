@@ -2,39 +2,26 @@
 
 from __future__ import annotations
 
-import threading
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 from psygnal import Signal
 
 from napari_hmrf.layers.second_picture import second_picture
 from napari_hmrf.registration.study_registration import SecondPicture
+from napari_hmrf.study.session import Part, Session
 from napari_hmrf.study.study import Study
 from napari_hmrf.ui.controller import Controller
-from napari_hmrf.ui.jobs import BackgroundJobs
+from napari_hmrf.ui.events import EventConnections
+from napari_hmrf.ui.jobs import reason_of
+from napari_hmrf.ui.registration_form import RegistrationForm
 
 T = TypeVar("T")
 
 
-class JobWords(NamedTuple):
-    """Words of the window about a job.
-
-    Attributes
-    ----------
-    doing : str
-        Word for the progress, such as "Registering".
-    cancelled, failed : str
-        Sentences that end the job; the reason follows `failed`.
-    """
-
-    doing: str
-    cancelled: str
-    failed: str
-
-
-class PairJob:
+class PairJob(ABC):
     """Job on the compute thread that needs the current study and the second image.
 
     The footer shows its progress and cancels it. Edits during the job have their effect when it has
@@ -43,29 +30,55 @@ class PairJob:
     Parameters
     ----------
     controller : Controller
-    words : JobWords
-    on_end : callable
-        Called with a message after the job was cancelled, has failed, or was ended by `end`.
+    session : Session
+        Session that receives the result, as one undo step.
     """
+
+    #: Name of the job for its progress, such as "Registering".
+    doing: ClassVar[str]
+    #: Sentences that end the job; the reason follows `failed`.
+    cancelled: ClassVar[str]
+    failed: ClassVar[str]
 
     #: Emitted with a message about the job.
     message = Signal(str)
 
-    def __init__(
-        self, controller: Controller, words: JobWords, on_end: Callable[[str], object]
-    ) -> None:
-        self._controller, self._words, self._on_end = controller, words, on_end
-        self._jobs = BackgroundJobs(lambda reason: self.end(f"{words.failed} {reason}"))
-        # Flag that cancels the current job.
-        self._cancel = threading.Event()
+    def __init__(self, controller: Controller, session: Session) -> None:
+        self._controller, self._session = controller, session
+        self._second = controller.form.result.second
+        self._form: RegistrationForm = controller.form.result.registration
         controller.form.footer.cancel.changed.connect(self.cancel)
+        self._connections = EventConnections(
+            (session.changed, self._on_changed),
+            (controller.slice_changed, self._refresh),
+            (self._second.changed, self._refresh),
+        )
+        self._refresh()
 
     @property
     def busy(self) -> bool:
         """True while the job is running."""
-        return self._jobs.busy()
+        return self._controller.jobs.busy(self.doing)
 
-    def read_pair(self) -> tuple[Study, SecondPicture] | None:
+    def cancel(self, *_: object) -> None:
+        """Stop the job; nothing is changed."""
+        if self.busy:
+            self._controller.jobs.cancel(self.doing)
+            self._end(self.cancelled)
+
+    def release(self) -> None:
+        """Disconnect from all events."""
+        self._connections.release()
+
+    @abstractmethod
+    def _refresh(self, *_: Any) -> None:
+        """Show whether the job is possible, and whether it is running."""
+
+    @abstractmethod
+    def _on_changed(self, part: Part, *_: Any) -> None:
+        """Respond to a change of a part of the session."""
+
+    def _read_pair(self) -> tuple[Study, SecondPicture] | None:
         """Return the current study and the second image on its grid.
 
         Returns
@@ -73,48 +86,37 @@ class PairJob:
         (Study, SecondPicture) or None
             None if one of them is missing or invalid; the reason is shown.
         """
-        form = self._controller.form
-        second = form.result.second.value
+        second = self._second.value
         if second is None or not self._controller.refresh():
             return None
         study = self._controller.session.study
         assert study is not None
+        place, shape = study.grid.known_place, study.grid.shape
         try:
-            picture = second_picture(
-                second, study.grid.known_place, study.grid.shape, self._controller.view
-            )
+            return study, second_picture(second, place, shape, self._controller.view)
         except Exception as error:  # noqa: BLE001 - a layer may raise anything
             self._controller.refuse(error)
             return None
-        return study, picture
 
-    def start(self, work: Callable[[threading.Event], T], finish: Callable[[T], object]) -> None:
-        """Run `work` with a flag that cancels it, and call `finish` with its result."""
-        self._cancel = threading.Event()
+    def _run(self, work: Callable[[], T], finish: Callable[[T], object]) -> None:
+        """Run `work` on the compute thread, and call `finish` with its result."""
         self._controller.engine.cancel()
-        self._jobs.submit("job", partial(work, self._cancel), partial(self._finish, finish))
-        self._controller.progress.start(self._words.doing, at_once=True)
-
-    def cancel(self, *_: object) -> None:
-        """Stop the job; nothing is changed."""
-        if self.busy:
-            self._cancel.set()
-            self._jobs.cancel()
-            self.end(self._words.cancelled)
-
-    def end(self, text: str) -> None:
-        """Show the latest result and a message, in place of the progress."""
-        self._controller.progress.stop()
-        self._on_end(text)
-        self._controller.show_again()
-        if text:
-            self.message.emit(text)
-
-    def release(self) -> None:
-        """Stop the job without a message."""
-        self._cancel.set()
-        self._jobs.release()
+        show = partial(self._finish, finish)
+        self._controller.jobs.submit(self.doing, work, show, self._on_error)
+        self._controller.progress.start(self.doing, at_once=True)
+        self._refresh()
 
     def _finish(self, finish: Callable[[T], object], result: T) -> None:
         self._controller.progress.stop()
         finish(result)
+        self._refresh()
+
+    def _on_error(self, error: Exception) -> None:
+        self._end(f"{self.failed} {reason_of(error)}")
+
+    def _end(self, text: str) -> None:
+        """Show the latest result and a message, in place of the progress."""
+        self._controller.progress.stop()
+        self._refresh()
+        self._controller.show_again()
+        self.message.emit(text)

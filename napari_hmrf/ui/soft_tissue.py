@@ -112,8 +112,9 @@ class SoftTissue(DockValues):
         inputs = form, self._binding, self._pointer, undo.session
         self._controller = controller = Controller(self.native, viewer, *inputs)
         self._results = results = shared(viewer, ResultLayers)
-        self._view = ResultView(self.native, viewer, form.result, results, undo.session)
-        controller.overlay_monitor = lambda: self._view.overlay_monitor
+        self._view = ResultView(
+            self.native, viewer, form.result, results, undo.session, controller.jobs
+        )
         self._connections = EventConnections((undo.session.selected, self._view.select_image))
         self._guide = Guide(viewer, controller, undo)
         self._carry_over = CarryOver(
@@ -130,7 +131,7 @@ class SoftTissue(DockValues):
         self._second = SecondImage(viewer, self._view, controller, undo.session)
         self._registering = Registering(controller, undo.session)
         self._fitting = Fitting(controller, undo.session)
-        for job in (self._registering.job, self._fitting.job):
+        for job in (self._registering, self._fitting):
             job.message.connect(partial(self._guide.show_message, why="step"))
         self._sides = PatientSides(viewer, undo.session)
         self._unsaved = Unsaved(self, viewer, controller, self._try)
@@ -199,8 +200,7 @@ class SoftTissue(DockValues):
     @property
     def busy(self) -> bool:
         """True if a requested change is not shown yet."""
-        jobs = (self._controller, self._view, self._registering.job, self._fitting.job)
-        return any(job.busy for job in jobs)
+        return self._controller.busy or self._controller.jobs.busy()
 
     @property
     def tool(self) -> str:
@@ -408,6 +408,7 @@ class SoftTissue(DockValues):
         self._view.working.connect(controller.progress.start)
         controller.result_drawn.connect(lambda _: self._view.show_pulled(""))
         controller.finished.connect(self._on_finished)
+        controller.jobs.refused.connect(self.show_message)
         self._view.message.connect(self.show_message)
         self._watch.first_image_ready.connect(self._on_first)
 

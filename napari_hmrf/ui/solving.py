@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,39 +10,38 @@ from functools import partial
 from psygnal import Signal
 from qtpy.QtWidgets import QWidget
 
-from napari_hmrf.errors import Cancelled
 from napari_hmrf.field.rehearsal import rehearse
 from napari_hmrf.layers.painted_overlay import PaintedOverlay, ShownDeformation
 from napari_hmrf.layers.result_layers import CompleteResult, complete_result
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.optimizers import Monitor
-from napari_hmrf.solver.solution import Solution
-from napari_hmrf.study.coarse_grid import Preview
 from napari_hmrf.study.engine import Deformation, Engine
 from napari_hmrf.study.study import Study
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.events import repeating
 from napari_hmrf.ui.footer import Footer
-from napari_hmrf.ui.jobs import BackgroundJobs, GuiThread, Repainted
+from napari_hmrf.ui.jobs import Jobs, Repainted
 from napari_hmrf.ui.result.result_messages import DRAWING_OVERLAY
 
-_log = logging.getLogger("napari_hmrf")
 # Description of the work in the messages of jobs that wait for the compute thread.
 _DOING = "a deformation in 'Soft tissue' (press Cancel there to stop it)"
+#: Kinds of background jobs that rehearse the first edits; True if code for brushes is included.
+_REHEARSALS = {"first pull": False, "first brush": True}
 #: Interval between updates, in milliseconds.
 _INTERVAL = 30
 #: Time without a new picture after which progress is shown, in seconds.
 _PATIENCE = 0.4
 
 
-class PacedEngine:
-    """Engine that solves the newest submitted study, and waits for each repaint of the window.
+class PacedEngine(Engine):
+    """Engine that waits for each repaint of the window, and also creates the layers of a result.
 
     After each answer, the engine pauses until the answer is painted. Solving and painting use the
     same processor cores, so running both at the same time would delay each picture.
 
     Parameters
     ----------
+    jobs : Jobs
     show : callable
         Called on the GUI thread with each answer, as a `ShownDeformation`.
     finish : callable
@@ -51,49 +49,25 @@ class PacedEngine:
     """
 
     def __init__(
-        self, show: Callable[[ShownDeformation], None], finish: Callable[[CompleteResult], None]
-    ) -> None:
-        self._show, self._finish = show, finish
-        self._gui = GuiThread()
-        self._overlay = PaintedOverlay()
-        self._engine = Engine(self._deliver, _DOING, self._overlay)
-        self._repainted = Repainted(self._engine.resume)
-        self._jobs = BackgroundJobs(lambda _: None)  # the solve of a drag reports its own errors
-        self._rehearsed = False
-
-    def submit(
         self,
-        study: Study,
-        backend: str = "auto",
-        cold_start: bool = False,
-        preview: Preview | None = None,
+        jobs: Jobs,
+        show: Callable[[ShownDeformation], None],
+        finish: Callable[[CompleteResult], None],
     ) -> None:
-        """Submit a study (see `Engine.submit`); with `cold_start`, drop earlier work first."""
-        if cold_start:  # the engine drops its own work
-            self._jobs.cancel("layers")
-        self._engine.submit(study, backend, cold_start, preview)
-
-    def start_from(self, solution: Solution) -> None:
-        """Use a solution from a file as the warm start of the next solve on its grid."""
-        self._engine.start_from(solution)
-
-    def deliver_again(self, study: Study, solution: Solution) -> None:
-        """Deliver a solution from a file when its study is submitted, if the inputs are equal."""
-        self._engine.deliver_again(study, solution)
+        self._jobs, self._show, self._finish = jobs, show, finish
+        self._paint = PaintedOverlay()
+        super().__init__(self._pass_on, _DOING, self._paint)
+        self._repainted = Repainted(self.resume)
+        self._rehearsed = False
 
     def complete(self) -> None:
         """Create the layers of the latest answer in the background, unless a study is pending."""
-        self._jobs.submit("layers", self._completed, self._on_completed)
+        self._jobs.submit("layers", self._completed, self._on_completed, self._on_failed)
 
     def cancel(self) -> None:
-        """Drop all pending work without showing its results."""
-        self._engine.cancel()
+        """Drop all pending work without showing its results; the next solve is a cold start."""
+        super().cancel()
         self._jobs.cancel("layers")
-
-    @property
-    def busy(self) -> bool:
-        """True if the result of a submitted study is not painted yet."""
-        return self._engine.busy
 
     @property
     def completing(self) -> bool:
@@ -102,74 +76,61 @@ class PacedEngine:
 
     @property
     def at_work(self) -> bool:
-        """True if a computation is running or pending."""
-        return self.busy or self._jobs.busy()
-
-    @property
-    def monitor(self) -> Monitor:
-        """Progress of the solve, or of the job that the solve is waiting for."""
-        return self._engine.monitor
-
-    def report(self, monitor: Monitor) -> None:
-        """Record the progress of other work on the compute thread, from any thread."""
-        self._engine.report(monitor)
+        """True if a computation of the engine is running or pending."""
+        return self.busy or self._jobs.busy("layers", *_REHEARSALS)
 
     def rehearse(self, study: Study) -> None:
         """Load or compile the code for the first pull and stroke in background trial runs."""
-        image, engine = study.pictures.image, self._engine
+        image = study.pictures.image
         if not self._rehearsed and image is not None:
             self._rehearsed = True
-            arguments = study.prior, image, study.grid.spacing, engine.report, engine.closed
-            for kind, more in (("first pull", False), ("first brush", True)):
-                self._jobs.submit(kind, partial(rehearse, *arguments, more), lambda _: None)
+            arguments = study.prior, image, study.grid.spacing, self.report, self.closed
+            for kind, more in _REHEARSALS.items():
+                work = partial(rehearse, *arguments, more)
+                # A drag reports the same errors.
+                self._jobs.submit(kind, work, lambda _: None, lambda _: None)
 
-    def release(self) -> None:
+    def close(self) -> None:
         """Drop all work and stop the engine permanently."""
-        self._engine.close()
-        self._gui.release()
-        self._jobs.release()
+        super().close()
         self._repainted.release()
 
     # On the compute thread
 
-    def _deliver(self, answer: Deformation) -> None:
-        state = self._overlay.with_marks(answer)
-        self._engine.hold()
-        self._gui.submit(partial(self._on_answer, state))
+    def _pass_on(self, answer: Deformation) -> None:
+        state = self._paint.with_marks(answer)
+        self.hold()
+        self._jobs.gui.submit(partial(self._on_answer, state))
 
-    def _completed(self) -> CompleteResult | ShownDeformation | None:
+    def _completed(self) -> CompleteResult | None:
         """Create the layers of the latest answer if an answer exists and no study is pending."""
-        latest = self._engine.latest
+        latest = self.latest
         if latest is None or latest.solution is None:
             return None
-        try:
-            with compute_thread.unless(lambda: self._engine.busy):
-                completed = complete_result(latest, compute_thread.check_cancelled)
-        except Cancelled:
-            return None
-        except Exception as error:  # noqa: BLE001 - every error is reported to the user
-            _log.exception("the layers of a result could not be created")
-            return ShownDeformation(replace(latest, error=error))
-        self._engine.keep(latest)
+        with compute_thread.unless(lambda: self.busy):
+            completed = complete_result(latest, compute_thread.check_cancelled)
+        self.keep(latest)
         return completed
 
     # On the GUI thread
 
     def _on_answer(self, state: ShownDeformation) -> None:
-        if not self._engine.is_current(state.moved):
+        if not self.is_current(state.moved):
             return
         # A pending study either corrects the error or reports it again.
         try:
-            if state.moved.error is None or not self._engine.has_pending:
+            if state.moved.error is None or not self.has_pending:
                 self._show(state)
         finally:
             self._repainted.schedule()
 
-    def _on_completed(self, completed: CompleteResult | ShownDeformation | None) -> None:
-        if isinstance(completed, ShownDeformation):
-            self._show(completed)
-        elif completed is not None and not self.busy:
+    def _on_completed(self, completed: CompleteResult | None) -> None:
+        if completed is not None and not self.busy:
             self._finish(completed)
+
+    def _on_failed(self, error: Exception) -> None:
+        if self.latest is not None and not self.busy:
+            self._show(ShownDeformation(replace(self.latest, error=error)))
 
 
 class SolveProgress:
@@ -180,12 +141,11 @@ class SolveProgress:
     native : QWidget
         The dock.
     footer : Footer
+    jobs : Jobs
     engine : PacedEngine
     is_working : callable
         Returns True until the layers of the result have changed; until then, the work can be
         cancelled.
-    overlay_monitor : callable
-        Returns the progress of the overlay of the result, or None.
     """
 
     #: Emitted with a progress message; "" when the work has ended.
@@ -195,12 +155,12 @@ class SolveProgress:
         self,
         native: QWidget,
         footer: Footer,
+        jobs: Jobs,
         engine: PacedEngine,
         is_working: Callable[[], bool],
-        overlay_monitor: Callable[[], Monitor | None],
     ) -> None:
-        self._footer, self._engine = footer, engine
-        self._is_working, self._overlay_monitor = is_working, overlay_monitor
+        self._footer, self._jobs, self._engine = footer, jobs, engine
+        self._is_working = is_working
         self._work = ""
         self._since = 0.0
         self._at_once = False
@@ -244,8 +204,14 @@ class SolveProgress:
         """Stop all updates."""
         self._timer.stop()
 
+    @property
+    def _overlay(self) -> Monitor | None:
+        """Progress while the overlay, or what it shows, is being computed, or None."""
+        is_drawing = self._jobs.busy("overlay", "comparison")
+        return self._jobs.monitor("uncertainty") or (DRAWING_OVERLAY if is_drawing else None)
+
     def _update(self) -> None:
-        working, overlay = self._at_once or self._is_working(), self._overlay_monitor()
+        working, overlay = self._at_once or self._is_working(), self._overlay
         monitor = self._engine.monitor if working else overlay
         if monitor is None:
             self._timer.stop()

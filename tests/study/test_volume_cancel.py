@@ -27,7 +27,7 @@ from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.solve import run_here
 from napari_hmrf.study.engine import Engine
 from napari_hmrf.study.study import Pictures
-from napari_hmrf.ui.jobs import BackgroundJobs
+from napari_hmrf.ui.jobs import Jobs
 from tests.support.cancel_flags import AfterLooks
 from tests.support.timeouts import LONG
 
@@ -160,7 +160,8 @@ def test_a_study_cancelled_during_its_warp_delivers_no_result(thin_slabs, count_
 
 def test_a_cancelled_background_job_stops(thin_slabs, count_slabs, qtbot):
     refused, found = [], []
-    jobs = BackgroundJobs(refused.append)
+    jobs = Jobs()
+    jobs.refused.connect(refused.append)
     begun, forgotten = threading.Event(), threading.Event()
 
     def wait():
@@ -181,7 +182,7 @@ def test_a_cancelled_background_job_stops(thin_slabs, count_slabs, qtbot):
 
 def test_the_result_of_a_job_cancelled_before_delivery_is_not_shown(qtbot, at_rest):
     shown = []
-    jobs = BackgroundJobs(shown.append)
+    jobs = Jobs()
     jobs.submit("a warp", lambda: 1, shown.append)
     compute_thread.submit(lambda: None).result(LONG)
     assert jobs.busy("a warp")

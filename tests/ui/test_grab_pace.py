@@ -15,6 +15,7 @@ from napari_hmrf.solver.optimizers import Multigrid
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.study import engine
 from napari_hmrf.tissue.drawing import Arrow, Drawing
+from napari_hmrf.ui.jobs import Jobs
 from napari_hmrf.ui.solving import PacedEngine
 from tests.support.person import by_name
 from tests.support.study_reader import read_ground
@@ -31,7 +32,10 @@ class Follower:
     def __init__(self, image, **how):
         self.study = replace(read_ground(image, **how).study, optimizer=Multigrid(TOLERANCE))
         self.shown = []
-        self.engine = PacedEngine(lambda seen: self.shown.append(seen.moved), lambda done: None)
+        self.jobs = Jobs()
+        self.engine = PacedEngine(
+            self.jobs, lambda seen: self.shown.append(seen.moved), lambda done: None
+        )
 
     def follow(self, drawing):
         motion = replace(self.study.motion, drawing=drawing)
@@ -56,7 +60,8 @@ def make_follower(qtbot):
 
     yield make
     for each in made:
-        each.engine.release()
+        each.engine.close()
+        each.jobs.release()
 
 
 @pytest.fixture

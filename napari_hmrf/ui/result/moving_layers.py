@@ -25,7 +25,7 @@ from napari_hmrf.layers.thick_marks import half_widths, thickened
 from napari_hmrf.layers.viewer_layers import layers_of
 from napari_hmrf.posterior import Uncertainty
 from napari_hmrf.ui.events import repeating
-from napari_hmrf.ui.jobs import BackgroundJobs
+from napari_hmrf.ui.jobs import Jobs
 from napari_hmrf.ui.result.result_messages import FULL
 
 #: Duration of playing from 0 to 100 %, in seconds.
@@ -198,7 +198,7 @@ class Player:
     Parameters
     ----------
     parent : QWidget
-    jobs : BackgroundJobs
+    jobs : Jobs
     shown : callable
         Returns the selected result, or None.
 
@@ -216,9 +216,7 @@ class Player:
     playing_changed = Signal(bool)
     drawn = Signal()
 
-    def __init__(
-        self, parent: Any, jobs: BackgroundJobs, shown: Callable[[], MovingLayers | None]
-    ) -> None:
+    def __init__(self, parent: Any, jobs: Jobs, shown: Callable[[], MovingLayers | None]) -> None:
         self._jobs, self._shown = jobs, shown
         self._timer = repeating(parent, _TICK, self._on_tick)
         self._started = 0.0

@@ -29,7 +29,7 @@ from napari_hmrf.layers.slice_view import View, directions_of, plane_shown
 from napari_hmrf.layers.viewer_layers import layers_of
 from napari_hmrf.tissue.drawing import Landmark
 from napari_hmrf.ui.forms import add_entry, attempt, give_menu
-from napari_hmrf.ui.jobs import BackgroundJobs
+from napari_hmrf.ui.jobs import Jobs
 from napari_hmrf.ui.result.landmark_table import LandmarkRows, LandmarkTable
 from napari_hmrf.ui.result.moving_layers import MovingLayers
 from napari_hmrf.ui.result.result_form import ResultForm
@@ -97,6 +97,7 @@ class ResultMenu:
         viewer: Any,
         shown: Callable[[], MovingLayers | None],
         show_message: Callable[[str], None],
+        jobs: Jobs,
     ) -> None:
         self._button, self._viewer, self._look, self._show_message = (
             form.more,
@@ -104,7 +105,7 @@ class ResultMenu:
             shown,
             show_message,
         )
-        self._jobs = BackgroundJobs(show_message)
+        self._jobs = jobs
         #: Returns the rows of the table of landmarks, or None if there are none.
         self.landmarks: Callable[[], LandmarkRows | None] = lambda: None
         #: Sets the standard deviation of a landmark of the drawing.
@@ -112,11 +113,6 @@ class ResultMenu:
         self._landmark_table: LandmarkTable | None = None
         give_menu(self._button, self._fill)
         form.save.changed.connect(self._on_save)
-
-    @property
-    def busy(self) -> bool:
-        """True if a requested output is not finished."""
-        return self._jobs.busy()
 
     def measure(self) -> tuple[Measurement, ...]:
         """Measure the deformation of each tissue, or of all tissue if there are no labels.
@@ -158,7 +154,8 @@ class ResultMenu:
         subfolder = f"{answer.pictures.name or 'result'} pictures" if own_folder else ""
         arguments = Path(folder), answer.solution, shown.image, answer.unit, subfolder
         self._show_message(SAVING)
-        self._jobs.submit(f"{folder}", partial(write_result_pictures, *arguments), self._on_saved)
+        work = partial(write_result_pictures, *arguments)
+        self._jobs.submit(f"pictures in {folder}", work, self._on_saved)
 
     def save_field(self, path: str | Path, *, forward: bool = False) -> None:
         """Write the field for other tools, and report the accuracy of its inverse.
@@ -259,8 +256,7 @@ class ResultMenu:
             self._landmark_table.show_rows(self.landmarks())
 
     def release(self) -> None:
-        """Discard all pending tasks, and close the table of landmarks."""
-        self._jobs.release()
+        """Close the table of landmarks."""
         if self._landmark_table is not None:
             self._landmark_table.close()
 

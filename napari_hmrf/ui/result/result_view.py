@@ -19,18 +19,16 @@ from napari_hmrf.layers.result_layers import Name, Overlay, PlacedSolution, over
 from napari_hmrf.layers.slice_view import directions_of
 from napari_hmrf.layers.viewer_layers import layer_painted, put_brush_away
 from napari_hmrf.posterior import Uncertainty
-from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.study.session import Session
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.events import EventConnections, single_shot
 from napari_hmrf.ui.forms import attempt
-from napari_hmrf.ui.jobs import BackgroundJobs
+from napari_hmrf.ui.jobs import Jobs, reason_of
 from napari_hmrf.ui.result import result_messages as words
 from napari_hmrf.ui.result.cursor import UnderCursor
 from napari_hmrf.ui.result.moving_layers import MovingLayers, Player, arrow_scale, how_far
 from napari_hmrf.ui.result.result_form import BEFORE_KEY, PAUSE, PLAY, ResultForm
 from napari_hmrf.ui.result.result_menu import ResultMenu
-from napari_hmrf.ui.result.uncertainty_estimator import UncertaintyEstimator
 
 #: Time without a change of the zoom after which marks are drawn again, in milliseconds.
 _ZOOM_REST = 100
@@ -68,11 +66,17 @@ class ResultView:
     working = Signal(str)
 
     def __init__(
-        self, native: Any, viewer: Any, form: ResultForm, results: ResultLayers, session: Session
+        self,
+        native: Any,
+        viewer: Any,
+        form: ResultForm,
+        results: ResultLayers,
+        session: Session,
+        jobs: Jobs,
     ) -> None:
         self._viewer, self._form, self._results = viewer, form, results
         self._session = session
-        self._jobs = BackgroundJobs(self.message.emit)
+        self._jobs = jobs
         self.shown: MovingLayers | None = None
         #: Difference between the result and its reference, or None.
         self.comparison: Comparison | None = None
@@ -82,7 +86,7 @@ class ResultView:
         self.key = ScaleKey(viewer, lambda: self.shown)
         self.key.length_changed.connect(self._show_distance)
         self.player = Player(native, self._jobs, lambda: self.shown)
-        self.more = ResultMenu(form, viewer, lambda: self.shown, self.message.emit)
+        self.more = ResultMenu(form, viewer, lambda: self.shown, self.message.emit, jobs)
         form.slider.changed.connect(self._on_slider)
         form.overlay.changed.connect(self._on_chosen)
         form.reference.changed.connect(self._on_reference)
@@ -94,9 +98,6 @@ class ResultView:
         self.player.playing_changed.connect(
             lambda playing: setattr(form.play, "text", PAUSE if playing else PLAY)
         )
-        self._estimator = UncertaintyEstimator()
-        self._estimator.estimated.connect(self._on_estimated)
-        self._estimator.refused.connect(self._on_not_estimated)
         self._zoom_timer = single_shot(native, _ZOOM_REST, self._on_zoomed)
         self._events = EventConnections(
             (camera_of(viewer).events.zoom, self._on_zoom),
@@ -114,19 +115,6 @@ class ResultView:
         self.arrows = max(reversed(arrows), key=lambda each: results.of(each).visible, default=None)
 
     # State
-
-    @property
-    def busy(self) -> bool:
-        """True if a requested change is not shown yet."""
-        return self._jobs.busy() or self.more.busy or self._estimator.monitor is not None
-
-    @property
-    def overlay_monitor(self) -> Monitor | None:
-        """Progress while the chosen overlay, or what it shows, is being computed, or None."""
-        if (estimate := self._estimator.monitor) is not None:
-            return estimate
-        is_drawing = self._jobs.busy("overlay") or self._jobs.busy("comparison")
-        return words.DRAWING_OVERLAY if is_drawing else None
 
     @property
     def _overlay(self) -> Any:
@@ -164,7 +152,6 @@ class ResultView:
         other = before is None or shown is None or shown.layers is not before.layers
         chosen = other or self._jobs.busy("overlay")  # the user may have chosen a pending overlay
         # A newer state of the same result must not hide the undeformed image.
-        self._estimator.cancel()
         self._put_back(release=other)
         if before is not None and other:
             before.layers.leave()
@@ -215,10 +202,8 @@ class ResultView:
         self._put_back()
 
     def release(self) -> None:
-        """Disconnect from all events, and drop all jobs."""
+        """Disconnect from all events."""
         self._events.release()
-        self._jobs.release()
-        self._estimator.release()
         self.more.release()
         self.cursor.release()
         self.key.release()
@@ -269,7 +254,7 @@ class ResultView:
         elif not result.moving:
             self.arrows = arrows
         else:
-            self._estimator.cancel()
+            self._jobs.cancel("uncertainty")
             self.cursor.append_to_status()
             if moves or self._form.slider.value != words.FULL:
                 self._draw_whole()  # the layers were redrawn at 100 %
@@ -331,10 +316,9 @@ class ResultView:
         if name == "uncertainty" and shown.estimated is None:
             self._jobs.cancel("overlay")
             self._on_overlay(shown, name, False, None)  # the overlay of another name disappears
-            self._estimator.start(shown.answer)
-            self.working.emit(words.ESTIMATING)
+            self._estimate(shown.answer)
             return
-        self._estimator.cancel()
+        self._jobs.cancel("uncertainty")
         if name == words.NOTHING:
             self._jobs.cancel("overlay")
             self._on_overlay(shown, name, False, None)
@@ -346,8 +330,22 @@ class ResultView:
 
     def cancel_estimate(self) -> None:
         """Stop an estimate of the uncertainty, and show no overlay."""
-        if self._estimator.monitor is not None:
+        if self._jobs.busy("uncertainty"):
             self._on_not_estimated("")
+
+    def _estimate(self, answer: PlacedSolution) -> None:
+        """Estimate the uncertainty of the selected result in the background."""
+        if answer.estimate is None:
+            self._on_not_estimated(words.NO_UNCERTAINTY)
+        elif not self._jobs.busy("uncertainty"):
+            self._jobs.submit(
+                "uncertainty",
+                answer.estimate,
+                partial(self._on_estimated, answer),
+                lambda error: self._on_not_estimated(reason_of(error)),
+                yields=True,
+            )
+            self.working.emit(words.ESTIMATING)
 
     def _on_estimated(self, answer: PlacedSolution, estimated: Uncertainty) -> None:
         if self.shown is not None and self.shown.answer is answer:
@@ -413,8 +411,8 @@ class ResultView:
         return is_slice and bool(shown.source.visible)
 
     def _put_back(self, release: bool = True) -> None:
-        """Show the deformation at 100 %, and drop all jobs."""
-        self._jobs.cancel()
+        """Show the deformation at 100 %, and drop all jobs of the selected result."""
+        self._jobs.cancel("overlay", "comparison", "moment", "uncertainty")
         if self.shown is not None:
             if release:
                 self.before = False

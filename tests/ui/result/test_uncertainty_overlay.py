@@ -1,6 +1,7 @@
 """Tests of the overlay of the uncertainty, and of the error bar in the status bar."""
 
 import re
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from napari_hmrf import Drawing, HmrfError, Landmark
 from napari_hmrf.io.images import read_image
 from tests.support.docks import viewer_of
 from tests.support.screen import Screen
+from tests.support.timeouts import LONG
 
 
 @pytest.fixture
@@ -61,12 +63,13 @@ def test_a_new_result_has_a_new_uncertainty(elastic, wait_for):
 
 def test_an_estimate_is_cancelled_by_the_button_and_changes_nothing(elastic, wait_for):
     screen, shown = Screen(elastic), elastic._view.shown
-    waits = replace(shown.answer, estimate=lambda progress, cancel: cancel.wait(60))
-    shown.answer = waits
+    stopped = threading.Event()
+    shown.answer = replace(shown.answer, estimate=lambda progress, cancel: stopped.wait(LONG))
     elastic.overlay = "uncertainty"
     wait_for(lambda: screen.button("Cancel").isEnabled())
     assert "Estimating the uncertainty" in elastic.status
     screen.press("Cancel")
+    stopped.set()
     wait_for(lambda: not elastic.busy)
     assert elastic.overlay == "nothing"
     assert "was not estimated" in elastic.status
