@@ -23,8 +23,7 @@ _UNREGISTERED = "The registration was removed; Undo restores it."
 class Fitting(PairJob):
     """Fit of properties in the tissue table to the second image, as one undo step."""
 
-    doing = "Fitting"
-    cancelled = "The fit was cancelled; nothing was changed."
+    name, doing = "fit", "Fitting"
     failed = "Nothing was fitted."
 
     def __init__(self, controller: Controller, session: Session) -> None:

@@ -19,6 +19,8 @@ from napari_hmrf.ui.jobs import reason_of
 from napari_hmrf.ui.registration_form import RegistrationForm
 
 T = TypeVar("T")
+#: Description of a job in the messages of edits that wait for it.
+_DOING = "a {} in 'Soft tissue' (press Cancel there to stop it)"
 
 
 class PairJob(ABC):
@@ -34,10 +36,10 @@ class PairJob(ABC):
         Session that receives the result, as one undo step.
     """
 
-    #: Name of the job for its progress, such as "Registering".
+    #: Name of the job, such as "registration", and its progress, such as "Registering".
+    name: ClassVar[str]
     doing: ClassVar[str]
-    #: Sentences that end the job; the reason follows `failed`.
-    cancelled: ClassVar[str]
+    #: Sentence before the reason why the job failed.
     failed: ClassVar[str]
 
     #: Emitted with a message about the job.
@@ -58,13 +60,13 @@ class PairJob(ABC):
     @property
     def busy(self) -> bool:
         """True while the job is running."""
-        return self._controller.jobs.busy(self.doing)
+        return self._controller.jobs.busy(self.name)
 
     def cancel(self, *_: object) -> None:
         """Stop the job; nothing is changed."""
         if self.busy:
-            self._controller.jobs.cancel(self.doing)
-            self._end(self.cancelled)
+            self._controller.jobs.cancel(self.name)
+            self._end(f"The {self.name} was cancelled; nothing was changed.")
 
     def release(self) -> None:
         """Disconnect from all events."""
@@ -101,8 +103,8 @@ class PairJob(ABC):
     def _run(self, work: Callable[[], T], finish: Callable[[T], object]) -> None:
         """Run `work` on the compute thread, and call `finish` with its result."""
         self._controller.engine.cancel()
-        show = partial(self._finish, finish)
-        self._controller.jobs.submit(self.doing, work, show, self._on_error)
+        show, doing = partial(self._finish, finish), _DOING.format(self.name)
+        self._controller.jobs.submit(self.name, work, show, self._on_error, doing=doing)
         self._controller.progress.start(self.doing, at_once=True)
         self._refresh()
 

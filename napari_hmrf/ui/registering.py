@@ -37,8 +37,7 @@ class Registering(PairJob):
     The image follows after each level.
     """
 
-    doing = "Registering"
-    cancelled = "The registration was cancelled; nothing was changed."
+    name, doing = "registration", "Registering"
     failed = "The images were not registered."
 
     def __init__(self, controller: Controller, session: Session) -> None:

@@ -1,11 +1,15 @@
 """Registration of two images in the window, by its buttons."""
 
+import threading
+
 import numpy as np
 import pytest
 from scipy import ndimage
 
 from napari_hmrf import Arrow, Drawing, read_study, warp
+from napari_hmrf.ui import registering
 from tests.support.screen import Screen
+from tests.support.timeouts import LONG, LONG_MS
 
 SHAPE = (64, 72)
 SIZE = (0.5, 0.5)
@@ -141,6 +145,28 @@ def test_cancel_stops_a_registration_and_changes_nothing(window, wait_for):
     wait_for(lambda: not dock.busy)
     assert dock.study.motion.measured is None
     assert dock.study.motion.hold_edge
+
+
+def test_an_edit_waits_for_a_registration_and_names_it_until_cancel(
+    window, wait_for, monkeypatch, qtbot
+):
+    dock, _ = window()
+    begun, over = threading.Event(), threading.Event()
+
+    def wait(*_, **__):
+        begun.set()
+        assert over.wait(LONG)
+
+    monkeypatch.setattr(registering, "register_study", wait)
+    Screen(dock).press("Register")
+    assert begun.wait(LONG)
+    dock.drawing = Drawing((Arrow((32.0, 36.0), (0.0, -2.0), radius=2.0),))
+    qtbot.waitUntil(lambda: "waiting for a registration" in dock.status, timeout=LONG_MS)
+    Screen(dock).press("Cancel")
+    assert "The registration was cancelled" in dock.status
+    over.set()
+    wait_for(lambda: not dock.busy)
+    assert dock.study.motion.measured is None
 
 
 def test_a_second_image_elsewhere_is_refused(window):
