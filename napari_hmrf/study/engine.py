@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 from napari_hmrf.errors import Cancelled, HmrfError
 from napari_hmrf.field.live_warp import Picture
+from napari_hmrf.field.motion_lines import Lines
 from napari_hmrf.field.moved_pictures import MovedPictures
 from napari_hmrf.field.resample import mask_on_finer_grid, on_finer_grid
 from napari_hmrf.field.tissue_point import Points, first_tissue, holds
@@ -44,8 +45,9 @@ DRAWING = Monitor("drawing the result", 1.0)
 Pictures = tuple[Picture, ...]
 #: Callback that updates the pictures of the drawing. Its arguments are the ground, the drawing, the
 #: images with the drawing, the box of pixels that may have changed (None if there are none), and
-#: the earlier pictures. It returns new pictures, or the earlier pictures, possibly modified.
-Overlay = Callable[[Ground, Drawing, Canvas, Box | None, Pictures], Pictures]
+#: the earlier pictures. It returns new pictures, or the earlier pictures, possibly modified, and
+#: lines to display over them.
+Overlay = Callable[[Ground, Drawing, Canvas, Box | None, Pictures], tuple[Pictures, Lines | None]]
 
 
 class Engine:
@@ -89,6 +91,7 @@ class Engine:
         self._grounds: dict[CoarseGrid, tuple[Study, Ground]] = {}
         self._rendering: Rendering | None = None
         self._over: Pictures = ()
+        self._lines: Lines | None = None
         self._pictures = MovedPictures()
         self._results = StudyResults()
         # Results from files that are not in `_results` yet.
@@ -207,7 +210,8 @@ class Engine:
         drawing, canvas = grid.drawing(study.motion.drawing), self._rendering.canvas
         window = self._rendering.show(drawing)
         if self._overlay is not None and grid.step == 1:
-            self._over = self._overlay(ground, drawing, canvas, window, self._over)
+            over = self._overlay(ground, drawing, canvas, window, self._over)
+            self._over, self._lines = over
         measured = study.motion.measured is not None
         moves = drawing.marks or study.bears_loads or canvas.observed.any() or study.removes
         if not (cold_start or moves or measured):
@@ -238,41 +242,40 @@ class Engine:
     def _deliver(self, update: Update) -> None:
         assert self._request is not None
         request = replace(self._request, generation=update.number, is_earlier=update.is_earlier)
-        error, latest = update.error, self.latest
+        solution, error, latest = update.solution, update.error, self.latest
         removed = None if request.stated is None else request.stated.removed
-        if update.solution is not None and update.solution.removed is not removed:
-            update = replace(update, solution=replace(update.solution, removed=removed))
+        if solution is not None and solution.removed is not removed:
+            solution = replace(solution, removed=removed)
         if update.final and error is None:
             self.report(DRAWING)
-        if update.solution is not None or isinstance(error, _StillError):
-            moved, error = self._try_to_move(request, update.solution)
-            if error is None:
-                image, over = moved
-                self.latest = replace(request, solution=update.solution, image=image, overlay=over)
-                self._answer(self.latest)
+        if solution is not None or isinstance(error, _StillError):
+            answer = self._moved_by(solution, request)
+            if answer.error is None:
+                self.latest = answer
+                self._answer(answer)
                 return
+            error = answer.error
         ground = request.ground
         known = latest is not None and latest.ground is ground and ground is not None
-        last_solution = latest.solution if known and latest else None
-        (_, over), _ = self._try_to_move(request, last_solution)
+        over = self._moved_by(latest.solution if known and latest else None, request)
         error = request.study.in_words(error or RuntimeError("there is no solution"))
-        self._answer(replace(request, error=error, overlay=over))
+        self._answer(replace(request, error=error, overlay=over.overlay, lines=over.lines))
 
     def _answer(self, answer: Deformation) -> None:
         self._latest_deformation = answer
         self._forward(answer)
 
-    def _try_to_move(
-        self, request: Deformation, solution: Solution | None
-    ) -> tuple[tuple[Array | None, tuple[Array, ...]], Exception | None]:
-        """Return the warped image and overlays, and the error if warping failed."""
+    def _moved_by(self, solution: Solution | None, request: Deformation) -> Deformation:
+        """Return the answer with a solution, or with the error if warping failed."""
         try:
-            return self._moved(request, solution), None
+            image, over = self._moved(request, solution)
         except Cancelled:
             raise
         except Exception as error:  # noqa: BLE001 - the error is delivered with the result
             _log.exception("the image could not be deformed")
-            return (None, ()), error
+            return replace(request, error=error)
+        lines = self._lines if over else None
+        return replace(request, solution=solution, image=image, overlay=over, lines=lines)
 
     def _moved(
         self, request: Deformation, solution: Solution | None
@@ -342,6 +345,8 @@ class Deformation:
         Image of the study, warped with the tissue.
     overlay : tuple of ndarray
         Warped pictures to display over the image.
+    lines : Lines, optional
+        Lines to display over the overlay.
     error : Exception, optional
         Error that prevented a solution, with the names used in the study.
     settled : bool
@@ -363,6 +368,7 @@ class Deformation:
     solution: Solution | None = None
     image: Array | None = None
     overlay: tuple[Array, ...] = ()
+    lines: Lines | None = None
     error: Exception | None = None
     settled: bool = False
     preview: Preview | None = None

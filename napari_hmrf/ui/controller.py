@@ -14,7 +14,6 @@ from qtpy.QtWidgets import QWidget
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.layers.metadata import METADATA
-from napari_hmrf.layers.painted_overlay import ShownDeformation
 from napari_hmrf.layers.read import NoImageError, StudyReader
 from napari_hmrf.layers.result_layers import CompleteResult
 from napari_hmrf.layers.slice_view import View, directions_of, plane_shown, view_of
@@ -322,8 +321,8 @@ class Controller:
             study, preview = as_dragged(study), drag_preview(study, plane, cut)
         self.engine.submit(study, self.session.display.device, preview=preview)
 
-    def _on_answer(self, state: ShownDeformation) -> None:
-        study, moved = self.session.study, state.moved
+    def _on_answer(self, moved: Deformation) -> None:
+        study = self.session.study
         if study is None or moved.study.grid != study.grid:
             return
         self.progress.restart()
@@ -332,7 +331,7 @@ class Controller:
         if moved.error is not None and moved.settled:
             self._refuse(moved.error)
             return
-        self.pointer.show(state)
+        self.pointer.show(moved)
         if moved.error is not None:
             self._submitted = None
             if not self.pointer.active:  # otherwise the pointer has reported the error

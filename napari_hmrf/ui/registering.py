@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from napari_hmrf.field.resample import on_finer_grid
-from napari_hmrf.layers.painted_overlay import ShownDeformation
 from napari_hmrf.layers.second_picture import align_layer
 from napari_hmrf.registration.matching import Step
 from napari_hmrf.registration.study_registration import RegisteredStudy, register_study
@@ -73,7 +72,7 @@ class Registering(PairJob):
     def _follow(self, moved: Deformation) -> None:
         """Show the image as the registration has moved it so far."""
         if self.busy and self._session.is_here(moved.study):
-            self._controller.pointer.show(ShownDeformation(moved))
+            self._controller.pointer.show(moved)
 
     def _store(self, part: Part, second: Any, found: RegisteredStudy) -> None:
         """Store the measured motion of a slice, as one step, and deliver the result."""

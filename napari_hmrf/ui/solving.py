@@ -11,7 +11,7 @@ from psygnal import Signal
 from qtpy.QtWidgets import QWidget
 
 from napari_hmrf.field.rehearsal import rehearse
-from napari_hmrf.layers.painted_overlay import PaintedOverlay, ShownDeformation
+from napari_hmrf.layers.painted_overlay import painted_overlay
 from napari_hmrf.layers.result_layers import CompleteResult, complete_result
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.optimizers import Monitor
@@ -43,7 +43,7 @@ class PacedEngine(Engine):
     ----------
     jobs : Jobs
     show : callable
-        Called on the GUI thread with each answer, as a `ShownDeformation`.
+        Called on the GUI thread with each answer.
     finish : callable
         Called on the GUI thread with the `CompleteResult` that `complete` has created.
     """
@@ -51,12 +51,11 @@ class PacedEngine(Engine):
     def __init__(
         self,
         jobs: Jobs,
-        show: Callable[[ShownDeformation], None],
+        show: Callable[[Deformation], None],
         finish: Callable[[CompleteResult], None],
     ) -> None:
         self._jobs, self._show, self._finish = jobs, show, finish
-        self._paint = PaintedOverlay()
-        super().__init__(self._pass_on, _DOING, self._paint)
+        super().__init__(self._pass_on, _DOING, painted_overlay)
         self._repainted = Repainted(self.resume)
         self._rehearsed = False
 
@@ -98,9 +97,8 @@ class PacedEngine(Engine):
     # On the compute thread
 
     def _pass_on(self, answer: Deformation) -> None:
-        state = self._paint.with_marks(answer)
         self.hold()
-        self._jobs.gui.submit(partial(self._on_answer, state))
+        self._jobs.gui.submit(partial(self._on_answer, answer))
 
     def _completed(self) -> CompleteResult | None:
         """Create the layers of the latest answer if an answer exists and no study is pending."""
@@ -114,13 +112,13 @@ class PacedEngine(Engine):
 
     # On the GUI thread
 
-    def _on_answer(self, state: ShownDeformation) -> None:
-        if not self.is_current(state.moved):
+    def _on_answer(self, answer: Deformation) -> None:
+        if not self.is_current(answer):
             return
         # A pending study either corrects the error or reports it again.
         try:
-            if state.moved.error is None or not self.has_pending:
-                self._show(state)
+            if answer.error is None or not self.has_pending:
+                self._show(answer)
         finally:
             self._repainted.schedule()
 
@@ -130,7 +128,7 @@ class PacedEngine(Engine):
 
     def _on_failed(self, error: Exception) -> None:
         if self.latest is not None and not self.busy:
-            self._show(ShownDeformation(replace(self.latest, error=error)))
+            self._show(replace(self.latest, error=error))
 
 
 class SolveProgress:

@@ -33,9 +33,7 @@ class Follower:
         self.study = replace(read_ground(image, **how).study, optimizer=Multigrid(TOLERANCE))
         self.shown = []
         self.jobs = Jobs()
-        self.engine = PacedEngine(
-            self.jobs, lambda seen: self.shown.append(seen.moved), lambda done: None
-        )
+        self.engine = PacedEngine(self.jobs, self.shown.append, lambda done: None)
 
     def follow(self, drawing):
         motion = replace(self.study.motion, drawing=drawing)
@@ -194,10 +192,10 @@ def test_an_error_while_showing_a_result_does_not_stop_the_next_drawing(
     follower = make_follower(image)
     show, failures = follower.shown.append, [RuntimeError("a layer of another plugin")]
 
-    def fail_once(state):
+    def fail_once(moved):
         if failures:
             raise failures.pop()
-        show(state.moved)
+        show(moved)
 
     monkeypatch.setattr(follower.engine, "_show", fail_once)
     with qtbot.captureExceptions() as raised:

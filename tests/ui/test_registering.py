@@ -220,8 +220,8 @@ def test_cancel_leaves_no_preview(window, wait_for):
     dock._controller.pointer.show, show = shown.append, dock._controller.pointer.show
     Screen(dock).press("Register")
     wait_for(lambda: bool(shown) or not dock.busy)
-    for state in shown:
-        show(state)
+    for moved in shown:
+        show(moved)
     dock._controller.pointer.show = show
     if dock.busy:
         Screen(dock).press("Cancel")

@@ -17,7 +17,7 @@ from napari_hmrf.layers.image_choice import image_covering
 from napari_hmrf.layers.image_result import CONFIDENCE, PAINTED, Result, ResultLayers
 from napari_hmrf.layers.line_of_sight import LineOfSight, cut_of
 from napari_hmrf.layers.paint_layer import confidence_layer, number_of, painted_layer, way_of
-from napari_hmrf.layers.painted_overlay import ShownDeformation
+from napari_hmrf.layers.painted_overlay import painted_confidence
 from napari_hmrf.layers.result_layers import CompleteResult, Kind, LayerData, picture_layer
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_layers import shared, still_there
@@ -54,8 +54,8 @@ class Display:
     Attributes
     ----------
     arrows : ArrowsLayer
-    state : ShownDeformation or None
-        Visible state of the tissue.
+    moved : Deformation or None
+        Visible deformation.
     tissues : dict of int to colour
         Colours of the paintable tissues, by label.
     quiet : bool
@@ -66,7 +66,7 @@ class Display:
         self, native: Any, viewer: Any, session: Session, listener: CanvasListener
     ) -> None:
         self.arrows = ArrowsLayer(viewer, listener)
-        self.state: ShownDeformation | None = None
+        self.moved: Deformation | None = None
         # Paint, deformed with the tissue, and the current stroke, which is drawn on top.
         self._painted: npt.NDArray[np.uint8] | None = None
         self._stroke: Stroke | None = None
@@ -82,11 +82,6 @@ class Display:
         self._stroke_timer = single_shot(native, _AHEAD, self._show_stroke)
         self._is_faded = False
         self._events = EventConnections((viewer.events.mouse_over_canvas, self._on_mouse))
-
-    @property
-    def moved(self) -> Deformation | None:
-        """Visible deformation, or None."""
-        return None if self.state is None else self.state.moved
 
     @property
     def result(self) -> Result | None:
@@ -106,7 +101,7 @@ class Display:
         self._stroke_timer.stop()
         result, moved = self.result, self.moved
         self._volume_look.release()
-        self.state = self._painted = self._stroke = self._whole = None
+        self.moved = self._painted = self._stroke = self._whole = None
         self._is_copy = False
         with self.program_changes():
             if result is not None and moved is not None:
@@ -117,7 +112,7 @@ class Display:
     def open_slice(self, study: Study) -> None:
         """Show the slice that was selected, in its undeformed state."""
         place, self._whole = study.grid.known_place, study.pictures.image
-        self.state = ShownDeformation(Deformation(study, image=study.pictures.image))
+        self.moved = Deformation(study, image=study.pictures.image)
         with self.program_changes():
             self.arrows.place(place, study.grid.shape, bool(self._session.drawing.marks))
             self._results.show_extent(self._source, place)
@@ -158,12 +153,11 @@ class Display:
             return None
         return moved.first_tissue(line.visible_points(layer, cut, moved.study.grid.shape))
 
-    def show(self, state: ShownDeformation, stroke: Stroke | None) -> None:
+    def show(self, moved: Deformation, stroke: Stroke | None) -> None:
         """Show a new state of the tissue, with the stroke that is being painted."""
-        moved, result = state.moved, self.result
-        picture = self._picture_of(moved)
-        self.state = state
-        self._take_paint(state, stroke)
+        result, picture = self.result, self._picture_of(moved)
+        self.moved = moved
+        self._take_paint(moved, stroke)
         with self.program_changes():
             # Also show undeformed tissue, so that the image layer exists before the first motion.
             if picture is not None and (moved.moves or self.arrows.active):
@@ -181,7 +175,7 @@ class Display:
     def discard(self, still: Deformation) -> None:
         """Show undeformed tissue, and remove the layers of unfinished work without a result."""
         result = self.result
-        self.state = ShownDeformation(still)
+        self.moved = still
         self._picture_of(still)
         with self.program_changes():
             if result is not None:
@@ -210,25 +204,25 @@ class Display:
 
     def finish(self, done: CompleteResult | None) -> None:
         """Show all layers of a complete result, or only the undeformed image if `done` is None."""
-        state = self.state
-        assert state is not None
-        image = state.moved.study.pictures.image
+        before = self.moved
+        assert before is not None
+        image = before.study.pictures.image
         layers = {} if done is None else done.outputs.layers
-        still = replace(state.moved, solution=None, image=image, overlay=(), preview=None)
-        moved = still if done is None else done.moved
-        self.state = ShownDeformation(moved, state.marks if moved.overlay else None)
-        self._picture_of(moved)
+        still = replace(before, solution=None, image=image, overlay=(), lines=None, preview=None)
+        self.moved = still if done is None else done.moved
+        self._picture_of(self.moved)
         with self.program_changes():
             self._show_result(layers)
             self.arrows.raise_up()
 
     def _show_result(self, layers: Mapping[Kind, LayerData], moving: bool = False) -> None:
         """Show the layers of the result together with the paint."""
-        state, result = self.state, self.result
-        assert state is not None
-        place, shown = state.moved.study.grid.known_place, dict[Any, LayerData](layers)
-        if state.confidence is not None and self._shows_confidence:
-            shown[CONFIDENCE] = confidence_layer(place, state.confidence)
+        moved, result = self.moved, self.result
+        assert moved is not None
+        place, shown = moved.study.grid.known_place, dict[Any, LayerData](layers)
+        confidence = painted_confidence(moved)
+        if confidence is not None and self._shows_confidence:
+            shown[CONFIDENCE] = confidence_layer(place, confidence)
         if (picture := self._picture()) is not None:
             shown[PAINTED] = painted_layer(place, picture, self.tissues)
         if result is not None:
@@ -242,27 +236,27 @@ class Display:
     def show_confidence(self, is_shown: bool) -> None:
         """Show the painted confidence, or remove its picture."""
         before, self._shows_confidence = self._shows_confidence, is_shown
-        result, state = self.result, self.state
-        if is_shown == before or result is None or state is None:
+        result, moved = self.result, self.moved
+        if is_shown == before or result is None or moved is None:
             return
         with self.program_changes():
             if not is_shown:
                 result.drop(CONFIDENCE)
-            elif state.confidence is not None:
-                place = state.moved.study.grid.known_place
-                result.put(CONFIDENCE, confidence_layer(place, state.confidence), show=False)
+            elif (confidence := painted_confidence(moved)) is not None:
+                place = moved.study.grid.known_place
+                result.put(CONFIDENCE, confidence_layer(place, confidence), show=False)
         self._fade(self._is_faded)  # the layer may be new
 
-    def show_painted(self, state: ShownDeformation) -> None:
-        """Show the paint of a state."""
-        self._take_paint(state, None)
+    def show_painted(self, moved: Deformation) -> None:
+        """Show the paint of a deformation."""
+        self._take_paint(moved, None)
         with self.program_changes():
             self._show_painting()
 
-    def _take_paint(self, state: ShownDeformation, stroke: Stroke | None) -> None:
+    def _take_paint(self, moved: Deformation, stroke: Stroke | None) -> None:
         self._stroke_timer.stop()
-        if state.moved.preview is None:  # a preview does not change the paint
-            self._painted = None if state.marks is None else state.moved.overlay[0]
+        if moved.preview is None:  # a preview does not change the paint
+            self._painted = None if moved.lines is None else moved.overlay[0]
         self._stroke = stroke
 
     def _picture(self) -> npt.NDArray[np.uint8] | None:
@@ -306,14 +300,14 @@ class Display:
     def draw(self, drawing: Drawing, selected: int | None, is_dragging: bool) -> None:
         """Show the arrows, landmarks and paint marks; during a drag, update only the canvas."""
         below: list[Lines] = []
-        state, mark = self.state, None if selected is None else drawing.marks[selected]
-        if state is not None and state.marks is not None:
-            below.append(state.marks)
-        if isinstance(mark, Stroke) and not is_dragging and state and state.moved.ground:
+        moved, mark = self.moved, None if selected is None else drawing.marks[selected]
+        if moved is not None and moved.lines is not None:
+            below.append(moved.lines)
+        if isinstance(mark, Stroke) and not is_dragging and moved and moved.ground:
             # Removed tissue does not move, while tissue at the edge of its paint does.
             is_void = mark.action == "remove"
-            goes_to = np.asarray if is_void else state.moved.moved_positions
-            below.append(way_of(mark, state.moved.study.grid.spacing, goes_to))
+            goes_to = np.asarray if is_void else moved.moved_positions
+            below.append(way_of(mark, moved.study.grid.spacing, goes_to))
         self.arrows.show(drawing, selected, below, quick=is_dragging)
         self._fade(self._is_faded)  # the layer may be new
 

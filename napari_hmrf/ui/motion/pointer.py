@@ -15,9 +15,9 @@ from napari_hmrf.field.units import as_seen
 from napari_hmrf.layers.compat import text_of
 from napari_hmrf.layers.line_of_sight import LineOfSight
 from napari_hmrf.layers.paint_layer import tissue_colours
-from napari_hmrf.layers.painted_overlay import ShownDeformation
 from napari_hmrf.layers.viewer_undo import ViewerUndo
 from napari_hmrf.study.edit_history import Step
+from napari_hmrf.study.engine import Deformation
 from napari_hmrf.study.study import Study
 from napari_hmrf.study.without_effect import lacks_motion, slides_inside
 from napari_hmrf.tissue.drawing import Drawing
@@ -123,7 +123,7 @@ class Pointer:
     @property
     def active(self) -> bool:
         """True if the mouse draws instead of moving the view."""
-        return self.display.state is not None and self.display.arrows.active
+        return self.display.moved is not None and self.display.arrows.active
 
     @property
     def keys(self) -> dict[str, Callable[[], object]]:
@@ -186,15 +186,14 @@ class Pointer:
 
     def start_drawing(self) -> None:
         """Start drawing with the mouse."""
-        state = self.display.state
-        if state is None:
+        moved, circle = self.display.moved, self.tool.cursor(self._fields.settings)
+        if moved is None:
             return
-        moved, circle = state.moved, self.tool.cursor(self._fields.settings)
         grid = moved.study.grid
         with self.display.program_changes():
             self.display.arrows.activate(grid.known_place, grid.shape, circle)
         if moved.ground is not None and not moved.moves:
-            self.display.show(state, self.tool.stroke)
+            self.display.show(moved, self.tool.stroke)
         self.draw()
         self.message.emit("" if moved.ground else motion_messages.PREPARING)
         self.report_tool()
@@ -234,22 +233,22 @@ class Pointer:
         self._show_drawing()
         self.changed.emit()
 
-    def show(self, state: ShownDeformation) -> None:
+    def show(self, moved: Deformation) -> None:
         """Show the new state of the tissue after a change to the drawing."""
-        ground = state.moved.ground
-        if state.moved.error is not None:
+        ground = moved.ground
+        if moved.error is not None:
             self._early_drags.clear()
-            self._show_error(state)
+            self._show_error(moved, moved.error)
             return
-        before = self.display.state
-        known = None if before is None else before.moved.ground
+        before = self.display.moved
+        known = None if before is None else before.ground
         if ground is not None and ground is not known:
             self._fields.offer(ground.palette)
             self.display.tissues = tissue_colours(ground.palette, self.tissue)
-        self.display.show(state, self.tool.stroke)
+        self.display.show(moved, self.tool.stroke)
         if self._draw_timer.isActive():
             self.draw()
-        elif state.marks is not None or (before is not None and before.marks is not None):
+        elif moved.lines is not None or (before is not None and before.lines is not None):
             self._show_drawing()  # the marks move with the tissue
         if (known is None and self.active) or self._in_error:
             self._in_error = False
@@ -537,13 +536,11 @@ class Pointer:
         if refusal := self._fields.pop_refusal():
             self.refusal.emit(refusal)
 
-    def _show_error(self, state: ShownDeformation) -> None:
-        error = state.moved.error
-        assert error is not None
+    def _show_error(self, moved: Deformation, error: Exception) -> None:
         if not self.tool.is_dragging:
             self.pulled.emit("")
         self._in_error = self.active
         if self.tool.stroke is None:
-            self.display.show_painted(state)
+            self.display.show_painted(moved)
         if self.active:
             self.message.emit(self.tool.error_message or in_short(error))
