@@ -9,6 +9,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from napari_hmrf.field.moved_points import moved_points
+from napari_hmrf.solver.solution import Solution
+
 #: Largest difference, in pixels, between displacements that are treated as equal.
 _SAME = 1e-3
 
@@ -49,6 +52,24 @@ class LandmarkPairs(NamedTuple):
             if not np.allclose(steps[number], steps[earlier], atol=_SAME):
                 return int(self.numbers[earlier]), int(self.numbers[number])
         return None
+
+    def distances(self, solution: Solution) -> npt.NDArray[np.float64]:
+        """Return the distance of each landmark from its target, before and after the motion.
+
+        Parameters
+        ----------
+        solution : Solution
+            Motion of the tissue of the slice.
+
+        Returns
+        -------
+        ndarray, shape (2, N)
+            Distances in the unit of the spacing.
+        """
+        now = moved_points(self.at, solution.displacement, spacing=solution.spacing)
+        left = (self.to - np.stack([self.at, now])) * solution.spacing
+        lengths: npt.NDArray[np.float64] = np.linalg.norm(left, axis=-1)
+        return lengths
 
     def radii(self, radius: float, spacing: Sequence[float]) -> list[float]:
         """Return the radius of the patch around each landmark; patches do not overlap.

@@ -12,7 +12,6 @@ from napari.layers.base import ActionType
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.landmark_pairs import LandmarkPairs
-from napari_hmrf.field.moved_points import moved_points
 from napari_hmrf.field.units import as_seen
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.landmarks import landmark_pairs
@@ -33,13 +32,13 @@ from napari_hmrf.ui.result.result_view import ResultView
 
 #: Layer settings of the deformed and the second image; two equal images add up to grey.
 _MOVED = {"colormap": "magenta"}
+_OTHER = {"colormap": "green", "blending": "additive", "opacity": 1.0}
 # Beginning of the summary of the landmarks, and another one if the chosen layers are not pairs.
 _LANDMARKS, _DRAWN = "Landmarks", "Landmarks of the drawing"
 # Clause about a drift of tissue whose edge is held.
 _HINDERED = "the held outer edge hinders the drift (see 'Fix outer edge')"
 # Number of decimals, in pixels, in which equal positions agree.
 _DECIMALS = 6
-_OTHER = {"colormap": "green", "blending": "additive", "opacity": 1.0}
 
 
 class SecondImage:
@@ -84,9 +83,6 @@ class SecondImage:
         self._points = EventConnections()
         # Layer with the residuals, and the name of their feature column.
         self._residuals: tuple[Any, str] | None = None
-        self._distances: LandmarkRows | None = None
-        # Positions of these landmarks before the motion, in pixels, shape (N, n).
-        self._places = np.zeros((0, 2))
         view.more.landmarks, view.more.set_sd = self.list_distances, self._set_sd
 
     def release(self) -> None:
@@ -114,14 +110,19 @@ class SecondImage:
             None if there are no landmarks or no result. The rows have error bars once the
             uncertainty of the result is estimated.
         """
-        shown, listed = self._view.shown, self._distances
-        if listed is None or shown is None or shown.estimated is None:
-            return listed
-        along = shown.estimated.along
-        sites = np.rint(np.clip(self._places, 0, np.array(along.shape) - 1)).astype(np.intp)
-        bars = along[tuple(sites.T)].tolist()
-        rows = [row._replace(bar=bar) for row, bar in zip(listed.rows, bars, strict=True)]
-        return listed._replace(rows=rows)
+        shown, (_, pairs) = self._view.shown, self._pairs()
+        if shown is None or pairs is None:
+            return None
+        answer, bars = shown.answer, [None] * len(pairs.at)
+        if shown.estimated is not None:
+            along = shown.estimated.along
+            sites = np.rint(np.clip(pairs.at, 0, np.array(along.shape) - 1)).astype(np.intp)
+            bars = along[tuple(sites.T)].tolist()
+        numbers, lengths = pairs.numbers.tolist(), pairs.distances(answer.solution).tolist()
+        columns = zip(numbers, *lengths, self._marks_of(pairs), bars, strict=True)
+        largest = largest_spread(answer.shape, answer.solution.spacing)
+        rows = [LandmarkRow(*row) for row in columns]
+        return LandmarkRows(rows, answer.unit, largest, self._is_outdated)
 
     def _set_sd(self, mark: Landmark, sd: float) -> None:
         """Set the standard deviation of a landmark of the drawing, as one undo step."""
@@ -172,7 +173,7 @@ class SecondImage:
 
     def _measure(self) -> None:
         """Show the residuals of the landmarks, and remove the previous residuals."""
-        earlier, self._residuals, self._distances = self._residuals, None, None
+        earlier, self._residuals = self._residuals, None
         if earlier is not None and earlier[1] in earlier[0].features:
             earlier[0].features = earlier[0].features.drop(columns=earlier[1])
         self._form.show_landmarks(self._describe_residuals())
@@ -180,29 +181,19 @@ class SecondImage:
 
     def _describe_residuals(self) -> str:
         """Describe the residuals and the drift, and store each residual with its landmark."""
-        shown = self._view.shown
-        where, pairs = (None, None) if shown is None else self._pairs(shown.answer)
+        shown, (where, pairs) = self._view.shown, self._pairs()
         if shown is None or pairs is None:
             return ""
         solution, unit = shown.answer.solution, shown.answer.unit
-        spacing = solution.spacing
-        now = moved_points(pairs.at, solution.displacement, spacing=spacing)
-        at_first, left = (
-            np.linalg.norm((pairs.to - places) * spacing, axis=1) for places in (pairs.at, now)
-        )
+        lengths = pairs.distances(solution)
         if where is not None:
             column = np.full(len(where.data), np.nan)
-            column[pairs.numbers] = left
+            column[pairs.numbers] = lengths[1]
             self._residuals = where, f"residual ({unit})"
             where.features = where.features.assign(**{self._residuals[1]: column})
-        marks, self._places = self._marks_of(pairs), pairs.at
-        columns = zip(pairs.numbers.tolist(), at_first.tolist(), left.tolist(), marks, strict=True)
-        largest = largest_spread(shown.answer.shape, spacing)
-        rows = [LandmarkRow(*row) for row in columns]
-        self._distances = LandmarkRows(rows, unit, largest, self._is_outdated)
-        both = (float(np.sqrt((lengths**2).mean())) for lengths in (at_first, left))
-        before, after = (as_seen(length, spacing) for length in both)
-        apart = f"{before:.3g} {unit} apart before, {after:.3g} now (RMS of {len(left)})"
+        both = np.sqrt((lengths**2).mean(axis=1)).tolist()
+        before, after = (as_seen(length, solution.spacing) for length in both)
+        apart = f"{before:.3g} {unit} apart before, {after:.3g} now (RMS of {len(pairs.at)})"
         is_drawn = where is None and self._pair.sources.value is not None
         subject = _DRAWN if is_drawn else _LANDMARKS
         if self._is_outdated:
@@ -223,13 +214,15 @@ class SecondImage:
         places = np.concatenate([pairs.at, pairs.to], axis=1).tolist()
         return [marks.get(_key(place)) for place in places]
 
-    def _pairs(self, answer: PlacedSolution) -> tuple[Any, LandmarkPairs | None]:
+    def _pairs(self) -> tuple[Any, LandmarkPairs | None]:
         """Return the landmarks of the chosen layers, or of the drawing, and their layer.
 
         The landmarks of the drawing, without a layer, are returned if no layer is chosen, or if
-        the chosen layers do not contain valid pairs.
+        the chosen layers do not contain valid pairs; None is returned without a result.
         """
-        where, should = self._pair.pair
+        if self._view.shown is None:
+            return None, None
+        answer, (where, should) = self._view.shown.answer, self._pair.pair
         if where is not None:
             view = View.of(self._viewer.dims)
             with suppress(HmrfError):  # reported when the landmarks are added
