@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import logging
 import threading
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -66,6 +65,11 @@ class Engine:
         behind the solve.
     overlay : callable, optional
         Callback of type `Overlay`, called on the compute thread.
+
+    Attributes
+    ----------
+    live : LiveSolver
+        Solver of the problems of the studies; its `hold` postpones the pending study.
     """
 
     def __init__(
@@ -76,7 +80,7 @@ class Engine:
     ) -> None:
         self._forward = deliver
         self._overlay = overlay
-        self._live = LiveSolver(self._deliver, progress=self.report, doing=doing)
+        self.live = LiveSolver(self._deliver, progress=self.report, doing=doing)
         self._reached = Monitor("starting", 0.0)
         #: Event that is set when the engine is closed.
         self.closed = threading.Event()
@@ -94,25 +98,18 @@ class Engine:
         self._lines: Lines | None = None
         self._pictures = MovedPictures()
         self._results = StudyResults()
-        # Results from files that are not in `_results` yet.
-        self._given: deque[tuple[Study, Solution]] = deque()
 
     # Methods for any thread
 
     @property
     def busy(self) -> bool:
-        """True while a study is pending or being solved, and between `hold` and `resume`."""
-        return self._live.busy or self._live.is_held
-
-    @property
-    def has_pending(self) -> bool:
-        """True if a study newer than the study being solved is pending."""
-        return self._live.has_pending
+        """True while a study is pending, being solved, or held."""
+        return self.live.busy or self.live.is_held
 
     @property
     def monitor(self) -> Monitor:
         """Progress of the solve, or the name of the job that delays it."""
-        waits = self._live.delay
+        waits = self.live.delay
         return Monitor(waits, 0.0) if waits else self._reached
 
     def submit(
@@ -121,7 +118,7 @@ class Engine:
         backend: str = "auto",
         cold_start: bool = False,
         preview: Preview | None = None,
-    ) -> int:
+    ) -> None:
         """Submit a study, which replaces any pending study.
 
         Parameters
@@ -136,56 +133,39 @@ class Engine:
             is farther from its targets.
         preview : Preview, optional
             Settings of a preview during a drag; the study is solved only on the coarse grid.
-
-        Returns
-        -------
-        int
-            Generation number of the study, greater than the numbers of all earlier studies.
         """
         if cold_start:
             self.cancel()
-        if not self._live.busy:
+        if not self.live.busy:
             self._reached = Monitor("reading the layers", 0.0)
-        self._live.optimizer, self._live.backend = study.optimizer, backend
+        self.live.optimizer, self.live.backend = study.optimizer, backend
         state = partial(self._state, study, cold_start, preview)
         patience = None if cold_start else patience_for(study, preview)
         # If the patience is 0, a preview would cost more time than it saves.
-        self._generation = self._live.submit(state, preview=bool(patience), patience=patience)
-        return self._generation
+        self._generation = self.live.submit(state, preview=bool(patience), patience=patience)
 
     def start_from(self, solution: Solution) -> None:
         """Use a solution from a file as the warm start of the next solve on its grid."""
-        self._live.start_from(solution)
+        self.live.start_from(solution)
 
     def deliver_again(self, study: Study, solution: Solution) -> None:
         """Deliver a solution from a file when its study is submitted, if the inputs are equal."""
-        self._given.append((study, solution))
+        compute_thread.submit(partial(self._results.add, study, solution))
 
     def is_current(self, answer: Deformation) -> bool:
         """Return whether a result is the latest and its study has not been cancelled."""
         return answer is self._latest_deformation and answer.generation > self._dropped
 
-    def hold(self) -> None:
-        """Postpone the pending study until `resume`, for instance until a result is painted.
-
-        Call this method while a result is delivered.
-        """
-        self._live.hold()
-
-    def resume(self) -> None:
-        """Solve the pending study, after `hold`."""
-        self._live.resume()
-
     def cancel(self) -> None:
         """Cancel the pending and the running solve; the next solve is a cold start."""
         self._dropped = self._generation
-        self._live.cancel()
+        self.live.cancel()
 
     def close(self) -> None:
         """Cancel all solves, and stop the engine."""
         self.closed.set()
         self.cancel()
-        self._live.close()
+        self.live.close()
 
     def report(self, monitor: Monitor) -> None:
         """Record the progress of the solve."""
@@ -218,8 +198,6 @@ class Engine:
             raise _StillError
         stated = replace(ground.statement(canvas, drawing), optimizer=study.optimizer)
         self._request = replace(self._request, stated=stated)
-        while self._given:
-            self._results.add(*self._given.popleft())
         known = self._results.find(study) if preview is None else None
         if known is not None and not _is_of(known, stated):
             known = None
@@ -359,7 +337,7 @@ class Deformation:
         True for an earlier result of the study, which is delivered again. If also `settled` is
         True, the budget ended the solve from a cold start.
     generation : int
-        Generation number, as returned by `Engine.submit`.
+        Number of the submission, greater than the numbers of all earlier submissions.
     """
 
     study: Study

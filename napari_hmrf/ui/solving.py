@@ -56,7 +56,7 @@ class PacedEngine(Engine):
     ) -> None:
         self._jobs, self._show, self._finish = jobs, show, finish
         super().__init__(self._pass_on, _DOING, painted_overlay)
-        self._repainted = Repainted(self.resume)
+        self._repainted = Repainted(self.live.resume)
         self._rehearsed = False
 
     def complete(self) -> None:
@@ -97,7 +97,7 @@ class PacedEngine(Engine):
     # On the compute thread
 
     def _pass_on(self, answer: Deformation) -> None:
-        self.hold()
+        self.live.hold()
         self._jobs.gui.submit(partial(self._on_answer, answer))
 
     def _completed(self) -> CompleteResult | None:
@@ -117,7 +117,7 @@ class PacedEngine(Engine):
             return
         # A pending study either corrects the error or reports it again.
         try:
-            if answer.error is None or not self.has_pending:
+            if answer.error is None or not self.live.has_pending:
                 self._show(answer)
         finally:
             self._repainted.schedule()

@@ -95,7 +95,7 @@ def test_a_drag_of_a_lung_is_solved_live_as_from_a_cold_start():
     try:
         for far in (1.0, 2.0, 3.0):
             engine.submit(pulled(far), backend="cpu")
-            assert engine._live.wait(60)
+            assert engine.live.wait(60)
     finally:
         engine.close()
     assert [answer.error for answer in answers] == [None] * len(answers)
