@@ -122,14 +122,14 @@ class Controller:
     def busy(self) -> bool:
         """True if a requested change is not shown yet."""
         looking, shown = self._refresh_timer.isActive(), self.progress.active
-        return looking or shown or self._is_working or self.engine.at_work
+        return looking or shown or self._is_working
 
     @property
     def _is_working(self) -> bool:
         """True from the submission of a study until the layers of its result have changed."""
         # During a drag, the layers of a complete result are not drawn.
         resting = self._complete_timer.isActive() and not self.pointer.tool.is_dragging
-        return resting or self.engine.busy or self.engine.completing
+        return resting or self.engine.busy or self.jobs.busy("layers")
 
     # Actions
 

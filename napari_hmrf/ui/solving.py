@@ -25,8 +25,6 @@ from napari_hmrf.ui.result.result_messages import DRAWING_OVERLAY
 
 # Description of the work in the messages of jobs that wait for the compute thread.
 _DOING = "a deformation in 'Soft tissue' (press Cancel there to stop it)"
-#: Kinds of background jobs that rehearse the first edits; True if code for brushes is included.
-_REHEARSALS = {"first pull": False, "first brush": True}
 #: Interval between updates, in milliseconds.
 _INTERVAL = 30
 #: Time without a new picture after which progress is shown, in seconds.
@@ -68,23 +66,13 @@ class PacedEngine(Engine):
         super().cancel()
         self._jobs.cancel("layers")
 
-    @property
-    def completing(self) -> bool:
-        """True while `complete` creates layers."""
-        return self._jobs.busy("layers")
-
-    @property
-    def at_work(self) -> bool:
-        """True if a computation of the engine is running or pending."""
-        return self.busy or self._jobs.busy("layers", *_REHEARSALS)
-
     def rehearse(self, study: Study) -> None:
         """Load or compile the code for the first pull and stroke in background trial runs."""
         image = study.pictures.image
         if not self._rehearsed and image is not None:
             self._rehearsed = True
             arguments = study.prior, image, study.grid.spacing, self.report, self.closed
-            for kind, more in _REHEARSALS.items():
+            for kind, more in (("first pull", False), ("first brush", True)):
                 work = partial(rehearse, *arguments, more)
                 # A drag reports the same errors.
                 self._jobs.submit(kind, work, lambda _: None, lambda _: None)

@@ -80,7 +80,9 @@ def solver_at_work():
 @pytest.fixture
 def wait_for_follower(at_rest):
     """Return a function that waits until a follower has shown the last drawing."""
-    return lambda follower: at_rest.until(lambda: not follower.engine.at_work)
+    return lambda follower: at_rest.until(
+        lambda: not (follower.engine.busy or follower.jobs.busy())
+    )
 
 
 def test_the_newest_drawing_is_shown_last(follower, wait_for_follower):

@@ -61,12 +61,8 @@ class CarryOver:
         draw: Callable[[Drawing, str], None],
         show_message: Callable[[str], None],
     ) -> None:
-        self._form, self._session, self._draw, self._show_message = (
-            form,
-            session,
-            draw,
-            show_message,
-        )
+        self._form, self._session = form, session
+        self._draw, self._show_message = draw, show_message
         self._slice = session.slice
         self._marks: tuple[Mark, ...] = ()
         form.carry.changed.connect(lambda _: self._on_carry())
