@@ -66,41 +66,41 @@ class MovedPictures:
         image: Array,
         axis: int,
         number: int,
-        displacement: Array,
+        solution: Solution,
         tissue: npt.NDArray[np.bool_],
         spacing: Sequence[float],
         every: int,
-        removed: npt.NDArray[np.bool_] | None = None,
     ) -> Array:
-        """Warp one slice of a volume by a displacement on a coarse grid.
+        """Warp one slice of a volume by a solution on a coarse grid.
 
         Parameters
         ----------
         image : ndarray, shape (D, H, W) or (D, H, W, 3 or 4)
         axis, number : int
             Axis perpendicular to the slice, and index of the slice along this axis.
-        displacement : ndarray, shape (d, h, w, 3)
-            Material displacement at every `every`-th voxel, in the unit of the spacing.
+        solution : Solution
+            Solution at every `every`-th voxel.
         tissue : ndarray of bool, shape (D, H, W)
+            Tissue, of which the slice does not show what is removed.
         spacing : sequence of float, shape (3,)
             Size of a voxel along each axis.
         every : int
-            Step between the voxels of the displacement along each axis.
-        removed : ndarray of bool, shape (D, H, W), optional
-            Mask of removed tissue, which the slice does not show.
+            Step between the sites of the coarse grid along each axis, in voxels.
 
         Returns
         -------
         ndarray, shape of the slice
         """
-        image = self._without(image, removed)
+        if solution.removed is not None:
+            removed = mask_on_finer_grid(solution.removed, tissue.shape, every)
+            image, tissue = self._without(image, removed), tissue & ~removed
         order = (axis, *(each for each in range(3) if each != axis))
         known = self._slicer
         if known is None or known[0] != axis or known[1] is not image:
             picture = Picture(np.moveaxis(image, axis, 0), fill=emptiness(image, 3))
             warper = Warper(picture, spacing=[spacing[each] for each in order])
             known = self._slicer = (axis, image, warper)
-        d = np.moveaxis(displacement[..., order], axis, 0)
+        d = np.moveaxis(solution.displacement[..., order], axis, 0)
         return known[2].slice(number, d, np.moveaxis(tissue, axis, 0), every=every)[0]
 
     def volume(

@@ -6,6 +6,7 @@ import errno
 import io
 import os
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -162,9 +163,9 @@ def _slice_frames(
     pictures, d = MovedPictures(), solution.displacement
 
     def picture_at(step: float) -> npt.NDArray[np.generic]:
-        part, removed = d * np.float32(step), solution.removed if step else None
-        where, spacing = (axis, number, part, solution.tissue), solution.spacing
-        return pictures.plane(image, *where, spacing, every=1, removed=removed)
+        removed = solution.removed if step else None
+        part = replace(solution, displacement=d * np.float32(step), removed=removed)
+        return pictures.plane(image, axis, number, part, part.tissue, part.spacing, every=1)
 
     return [compute_thread.result_of(partial(picture_at, step), "drawing") for step in steps]
 

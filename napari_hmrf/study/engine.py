@@ -22,7 +22,7 @@ from napari_hmrf.errors import Cancelled, HmrfError
 from napari_hmrf.field.live_warp import Picture
 from napari_hmrf.field.motion_lines import Lines
 from napari_hmrf.field.moved_pictures import MovedPictures
-from napari_hmrf.field.resample import mask_on_finer_grid, on_finer_grid
+from napari_hmrf.field.resample import on_finer_grid
 from napari_hmrf.field.tissue_point import Points, first_tissue, holds
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.live_solver import Input, Known, LiveSolver, Update, has_stopped
@@ -259,27 +259,20 @@ class Engine:
         self, request: Deformation, solution: Solution | None
     ) -> tuple[Array | None, tuple[Array, ...]]:
         """Return the image and its overlays, warped by a solution."""
-        image, preview = request.study.pictures.image, request.preview
-        spacing = request.study.grid.spacing
-        if preview is not None and preview.axis is None and len(spacing) == 3:
-            if image is None:
-                return None, ()
-            every, cut = preview.grid.step, preview.cut
-            return self._pictures.volume(image, solution, spacing, every, cut), ()
-        if preview is None or preview.axis is None:
-            if solution is not None and request.ground is not None and request.grid.step > 1:
-                solution = on_finer_grid(solution, request.ground.stiffness > 0, request.grid.step)
+        image, preview, ground = request.study.pictures.image, request.preview, request.ground
+        spacing, every = request.study.grid.spacing, request.grid.step
+        if preview is None or len(spacing) == 2:
+            if solution is not None and ground is not None and every > 1:
+                solution = on_finer_grid(solution, ground.stiffness > 0, every)
             return self._pictures.whole(image, self._over, solution)
         if image is None:
             return None, ()
-        if solution is None or request.ground is None:
+        if preview.axis is None:
+            return self._pictures.volume(image, solution, spacing, every, preview.cut), ()
+        if solution is None or ground is None:
             return np.asarray(image.take(preview.number, preview.axis)), ()
-        tissue, removed, step = request.ground.stiffness > 0, solution.removed, preview.grid.step
-        if removed is not None:
-            removed = mask_on_finer_grid(removed, tissue.shape, step)
-            tissue &= ~removed
-        where = preview.axis, preview.number, solution.displacement, tissue
-        return self._pictures.plane(image, *where, spacing, step, removed), ()
+        where, tissue = (preview.axis, preview.number), ground.stiffness > 0
+        return self._pictures.plane(image, *where, solution, tissue, spacing, every), ()
 
 
 def _is_of(solution: Solution, stated: Statement) -> bool:
