@@ -322,8 +322,7 @@ class Controller:
         self.engine.submit(study, self.session.display.device, preview=preview)
 
     def _on_answer(self, moved: Deformation) -> None:
-        study = self.session.study
-        if study is None or moved.study.grid != study.grid:
+        if not self.session.is_here(moved.study):
             return
         self.progress.restart()
         if moved.error is not None:
@@ -350,8 +349,7 @@ class Controller:
             self.refresh()
         if not self._is_unread:
             self._failure = ""
-        study = self.session.study
-        if study is None or done.moved.study.grid != study.grid:
+        if not self.session.is_here(done.moved.study):
             return
         self.session.results[self.session.slice.layer] = done
         self._report = messages.report(done)
