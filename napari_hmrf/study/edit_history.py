@@ -48,11 +48,14 @@ class EditHistory:
     ----------
     changed : Signal(object, object, object)
         Emitted with the part, the new value and the old value when a value changes.
+    edited : Signal(object, object)
+        Emitted after `changed` with the part and the old value, except for `amend`.
     steps_changed : Signal()
         Emitted when the steps available for undo or redo change.
     """
 
     changed = Signal(object, object, object)
+    edited = Signal(object, object)
     steps_changed = Signal()
 
     def __init__(self, depth: int = DEPTH) -> None:
@@ -100,7 +103,7 @@ class EditHistory:
         """Set a value without a step, for a change that is not an edit, such as opening a file."""
         if self._begun is not None and self._begun.part == part:
             self.end()
-        self._show(part, value)
+        self._show(part, value, is_edit=False)
 
     def do(self, part: Hashable, value: Any, word: str) -> None:
         """End any edit in progress, then set a value as one step.
@@ -245,11 +248,13 @@ class EditHistory:
             self.steps_changed.emit()
         return first
 
-    def _show(self, part: Hashable, value: Any) -> None:
+    def _show(self, part: Hashable, value: Any, is_edit: bool = True) -> None:
         before = self._now[part]
         if value != before:
             self._now[part] = value
             self.changed.emit(part, value, before)
+            if is_edit:
+                self.edited.emit(part, before)
 
 
 def _without(steps: Iterable[Step], unwanted: Callable[[Any], bool]) -> list[Step]:

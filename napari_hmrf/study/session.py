@@ -86,6 +86,11 @@ class Part(NamedTuple):
     layer: Any
     place: Any = None
 
+    @property
+    def title(self) -> str:
+        """Name of the layer, with the slice if the layer has several slices."""
+        return f"{self.layer.name} {'' if self.place is None else self.place.name}".strip()
+
 
 @dataclass(frozen=True)
 class ImageChoice(Conditions):
@@ -223,10 +228,11 @@ class DisplayChoice:
 class UnsavedWork:
     """Register of slices with unsaved edits, which are identified by their drawings.
 
+    An edit of a part that several slices use, such as a table, counts for the selected slice.
+
     Parameters
     ----------
-    history : EditHistory
-        Values of the parts.
+    session : Session
 
     Attributes
     ----------
@@ -234,42 +240,46 @@ class UnsavedWork:
         Path from which each slice was opened, or to which it was saved.
     saved_files : dict of Part to Path
         Path of the recovery file of each slice.
+    noted : Signal()
+        Emitted after an edit of a slice.
     """
 
-    def __init__(self, history: EditHistory) -> None:
-        self._history = history
+    noted = Signal()
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        # Values of the edited parts of each slice before their first edit.
         self._before: dict[Part, dict[Part, object]] = {}
         self.paths: dict[Part, Path] = {}
         self.saved_files: dict[Part, Path] = {}
+        session.edited.connect(self._on_edited)
 
     @property
     def slices(self) -> tuple[Part, ...]:
         """Slices with unsaved edits, identified by their drawings."""
-        now = {part: self._history.get(part) for part in self._history.parts}
+        now = {part: self._session.get(part) for part in self._session.parts}
         return tuple(
             here
             for here, edited in self._before.items()
             if here in now and any(part in now and now[part] != edited[part] for part in edited)
         )
 
-    def note(self, here: Part, part: Part | None = None, before: object = None) -> None:
-        """Record an edit of a slice.
-
-        Parameters
-        ----------
-        here : Part
-            Drawing of the slice.
-        part : Part, optional
-            Edited part. If not given, the slice is considered unsaved even if all edits are undone.
-        before : object
-            Value of the part before the edit.
-        """
-        value = object() if part is None else before
-        self._before.setdefault(here, {}).setdefault(part or here, value)
+    def add(self, here: Part) -> None:
+        """Record that a slice is unsaved, even if all edits are undone."""
+        self._before.setdefault(here, {})[here] = object()
 
     def save(self, here: Part) -> None:
         """Record that the edits of a slice were saved or discarded."""
         self._before.pop(here, None)
+
+    def _on_edited(self, part: Part, before: object) -> None:
+        others = part.kind == "paint" and part.layer not in self._session.choice.layers
+        if part.kind in ("choice", "model") or others:
+            return  # easy to choose again, or not part of the study
+        here = part if part.kind == "drawing" else self._session.slice
+        if here.layer is not None:
+            self._before.setdefault(here, {}).setdefault(part, before)
+            self.noted.emit()
 
 
 class Session(EditHistory):

@@ -22,6 +22,7 @@ from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Drawing, Landmark
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui import messages
+from napari_hmrf.ui.autosave import Autosave
 from napari_hmrf.ui.controller import Controller
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.dock_values import DockValues
@@ -40,6 +41,7 @@ from napari_hmrf.ui.registering import Registering
 from napari_hmrf.ui.remembered_settings import remember
 from napari_hmrf.ui.result.result_view import ResultView
 from napari_hmrf.ui.second_image import SecondImage
+from napari_hmrf.ui.study_files import StudyFiles
 from napari_hmrf.ui.unsaved import Unsaved, guard_windows
 from napari_hmrf.ui.viewer_watch import ViewerWatch
 
@@ -86,6 +88,9 @@ class SoftTissue(DockValues):
     save_study : callable
         Saves `study` to a path, with its field if the field is up to date; see
         `napari_hmrf.write_study`. Returns the `Path` of the file.
+    open_study : callable
+        Adds the layers of a saved study, and restores its settings. Raises the same errors as
+        `read_study`.
     save_materials : callable
         Saves the tissue table to a path; see `material_tables.write_preset`. Returns the `Path` of
         the file.
@@ -134,7 +139,10 @@ class SoftTissue(DockValues):
         for job in (self._registering, self._fitting):
             job.message.connect(partial(self._guide.show_message, why="step"))
         self._sides = PatientSides(viewer, undo.session)
-        self._unsaved = Unsaved(self, viewer, controller, self._try)
+        self._files = StudyFiles(self, viewer, controller, self._guide)
+        work = controller, self._files
+        self._autosave = Autosave(self, undo.session, *work, self._try)
+        self._unsaved = Unsaved(self.native, viewer, *work, self._autosave, self._try)
         self.fields, self.more = form.motion.fields, self._view.more
         self.deformation_changed, self.result_drawn, self.finished = (
             controller.deformation_changed,
@@ -146,7 +154,7 @@ class SoftTissue(DockValues):
         self.remove, self.clear = self._pointer.remove, self._pointer.clear
         self.play, self.pause = self._view.play, self._view.player.stop
         self.at = self._view.cursor.at
-        self.save_study = self._unsaved.save
+        self.save_study, self.open_study = self._files.save, self._files.open
         self.take_materials, self.save_materials = (
             form.tissue.menu.copy_materials,
             form.tissue.menu.save,
@@ -244,16 +252,8 @@ class SoftTissue(DockValues):
         """Write pictures into an existing folder, then emit `saved`."""
         attempt(partial(self.more.save_pictures, folder), self.show_message)
 
-    def open_study(self, path: str | Path) -> None:
-        """Add the layers of a saved study, and restore its settings.
-
-        Raises the same errors as `read_study`.
-        """
-        self._unsaved.open(path)
-        self.show_marks()
-
-    def show_marks(self) -> None:
-        """Start drawing if the study has marks, which are visible only then."""
+    def _show_marks(self) -> None:
+        """Start drawing if an opened study has marks, which are visible only then."""
         if self.drawing.marks:
             self.start()
 
@@ -394,7 +394,8 @@ class SoftTissue(DockValues):
         form.motion.picked.connect(self._on_tool)
         form.motion.remove.changed.connect(lambda _: self.remove())
         form.motion.clear.changed.connect(lambda _: self.clear())
-        form.result.keep.changed.connect(lambda _: self._try(self._unsaved.save_as))
+        form.result.keep.changed.connect(lambda _: self._try(self._files.save_as))
+        self._files.opened.connect(self._show_marks)
         form.footer.deform.changed.connect(lambda _: self.deform())
         form.footer.cancel.changed.connect(lambda _: self.cancel())
         form.footer.reset.changed.connect(lambda _: self._on_reset())
@@ -465,7 +466,7 @@ class SoftTissue(DockValues):
     def on_over(self, closed: bool) -> None:
         """Release all parts after the dock was closed or its window was deleted."""
         if closed:
-            self._unsaved.keep_now()
+            self._autosave.keep_now()
             self._controller.cancel()
             self._controller.clear()
             self._pointer.leave()
@@ -477,6 +478,8 @@ class SoftTissue(DockValues):
             self._fitting,
             self._sides,
             self._view,
+            self._files,
+            self._autosave,
             self._unsaved,
             self._watch,
             self._guide,

@@ -327,3 +327,20 @@ def test_a_table_of_the_model_is_stored_with_its_layer(layers):
     model.set_table("tissue", tissue, RowTable((SOFT,)))
     model.set_table("tissue", tissue, RowTable((STIFF,), "kPa"), "changed a table")
     assert table_of(tissue, "tissue") == RowTable((STIFF,), "kPa")
+
+
+def test_edits_are_unsaved_work_and_automatic_changes_are_not(layers):
+    session = Session()
+    session.select(layers["image"])
+    session.select_slice(layers["image"])
+    session.draw(Drawing((PULL,)), "drew an arrow")
+    assert session.unsaved.slices == (session.slice,)
+    session.unsaved.save(session.slice)
+    session.draw(Drawing((PULL, PULL)), "")
+    session.choose(hold_edge=False)
+    assert not session.unsaved.slices
+    session.set_table("tissue", layers["tissue"], RowTable((SOFT,)))
+    session.set_table("tissue", layers["tissue"], RowTable((STIFF,)), "changed a table")
+    assert session.unsaved.slices == (session.slice,)
+    session.undo()
+    assert not session.unsaved.slices

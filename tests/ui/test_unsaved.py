@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from napari._qt.dialogs.qt_notification import NapariQtNotification
 from napari.components import ViewerModel
 from napari.settings import get_settings
 from qtpy.QtCore import QEvent, QFile, QObject, QSettings
@@ -285,24 +284,11 @@ def test_one_answer_saves_all_slices_and_the_volume_and_the_next_answer_saves_th
     expected = [((64, 64), DRAWING), ((64, 64), OTHER), ((40, 64), DRAWING), ((40, 64, 64), ball)]
     assert saved() == expected
     assert len(asked.questions) == 2
-    native = viewer.window._qt_window
-    texts = ["this napari-hmrf study cannot be saved: too long", "the tissue folds"]
-    for text in texts:
-        NapariQtNotification(text, "warning", parent=native).show()
-
-    def shown():
-        return [each.message.text() for each in native.findChildren(NapariQtNotification)]
-
-    assert shown() == texts
     dock.drawing = Drawing()
     assert press_close(dock)
     assert asked.questions[-1].endswith(f"Saving replaces '{files[-1].name}'.")
     assert saved() == [*expected[:3], ((40, 64, 64), Drawing())]
     assert not autosaved_files()
-    at_rest.until(lambda: shown() == texts[1:])
-    (other,) = native.findChildren(NapariQtNotification)
-    other.close()
-    at_rest.until(lambda: not shown())
 
 
 def test_a_message_names_the_extent_of_a_saved_study_and_what_is_not_saved(

@@ -1,0 +1,34 @@
+"""Notice at the top of the dock, which is visible while it has a text."""
+
+from __future__ import annotations
+
+from magicgui.widgets import Container, PushButton
+from qtpy.QtWidgets import QSizePolicy
+
+from napari_hmrf.ui.forms import Prose, row
+
+
+class Notice(Container):
+    """Notice at the top of the dock, which is visible while it has a text.
+
+    Parameters
+    ----------
+    *buttons : PushButton
+        Buttons beside the text.
+    """
+
+    def __init__(self, *buttons: PushButton) -> None:
+        self._text = Prose()
+        for button in buttons:
+            button.native.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Fixed)
+        line = row(self._text, *buttons)
+        line.margins = (0, 0, 0, 0)
+        super().__init__(widgets=[line], labels=False)
+        self.margins = (4, 0, 0, 0)
+        self.visible = False
+
+    def show_text(self, text: str, tooltip: str = "") -> None:
+        """Show a text with a tooltip; "" hides the notice."""
+        self._text.show_text(text)
+        self._text.tooltip = tooltip
+        self.visible = bool(text)

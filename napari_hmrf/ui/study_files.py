@@ -1,0 +1,240 @@
+"""Study files of the dock: studies that are saved and opened."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from psygnal import Signal
+from qtpy.QtWidgets import QFileDialog
+
+from napari_hmrf.errors import HmrfError
+from napari_hmrf.field.frame import SlicePlace
+from napari_hmrf.io.study_file import (
+    SUFFIX,
+    overlay_named_in,
+    read_study,
+    second_image_named_in,
+    write_study,
+)
+from napari_hmrf.layers.image_choice import is_same_image
+from napari_hmrf.layers.landmarks import read_landmarks
+from napari_hmrf.layers.read import study_layers
+from napari_hmrf.layers.viewer_layers import layers_of
+from napari_hmrf.layers.viewer_undo import undo_of
+from napari_hmrf.study.session import Part
+from napari_hmrf.study.study import Study
+from napari_hmrf.tissue.drawing.drawing import ends_of
+from napari_hmrf.ui import messages
+from napari_hmrf.ui.controller import Controller
+from napari_hmrf.ui.events import EventConnections, single_shot
+from napari_hmrf.ui.guide import Guide
+from napari_hmrf.ui.notice import Notice
+from napari_hmrf.ui.viewer_dock import Dock
+
+#: Characters that some systems do not allow in file names.
+_NO_FILE_NAME = re.compile(r'[\\/:*?"<>|]')
+
+
+class StudyFiles:
+    """Study files of the dock: studies that are saved and opened.
+
+    Parameters
+    ----------
+    dock : Dock
+    viewer : napari.Viewer or ViewerModel
+    controller : Controller
+    guide : Guide
+
+    Attributes
+    ----------
+    opened : Signal()
+        Emitted after a study was opened.
+    stored : Signal(Part)
+        Emitted with the drawing of a slice that now has a file with its work.
+    """
+
+    opened = Signal()
+    stored = Signal(Part)
+
+    def __init__(self, dock: Dock, viewer: Any, controller: Controller, guide: Guide) -> None:
+        self._dock, self._viewer, self._controller, self._guide = dock, viewer, controller, guide
+        self._session = undo_of(viewer).session
+        # Image of an opened study, and the name of its second image, until this is in the viewer.
+        self._awaited: tuple[Any, str] = None, ""
+        self._missing = Notice()
+        dock.insert(0, self._missing)
+        # Deferred, because the menus list a new layer later.
+        self._second_timer = single_shot(dock.native, 0, self._choose_second)
+        self._connections = EventConnections(
+            (viewer.layers.events.inserted, self._on_images),
+            (self._session.selected, self._on_images),
+            (controller.form.result.second.changed, self._on_images),
+        )
+
+    def release(self) -> None:
+        """Disconnect from the viewer."""
+        self._connections.release()
+        self._second_timer.stop()
+
+    def writer(self) -> Callable[..., Path]:
+        """Return `write_study` with the current overlay and second image as arguments.
+
+        An overlay that needs a layer which is not in the file is omitted.
+        """
+        overlay = self._session.display.overlay
+        is_stored = overlay not in ("difference", "uncertainty")
+        return partial(write_study, overlay=overlay if is_stored else "", second=self._second)
+
+    @property
+    def _second(self) -> str:
+        """Name of the second image, or of the one that the opened study still lacks; or ""."""
+        chosen = self._controller.form.result.second.value
+        if chosen is not None:
+            return str(chosen.name)
+        image, name = self._awaited
+        return name if image is self._session.image else ""
+
+    # Saving
+
+    def save(self, path: str | Path) -> Path:
+        """Save the current study, with the displayed field if it belongs to the study.
+
+        The field of a solve that is still being continued is saved, too.
+        """
+        controller, session = self._controller, self._session
+        work, here = session.unsaved, session.slice
+        study = controller.reader.read(controller.reader.request())
+        latest = session.result if session.shows(study) else None
+        solution = None if latest is None else latest.outputs.solution
+        written = self.writer()(path, study, solution)
+        has_slices = controller.form.extent.has_slices
+        extent = messages.extent_name(study.grid.known_place.slice_seen) if has_slices else ""
+        others = [
+            messages.extent_name(part.place.name)
+            for part in work.slices
+            if part.layer is here.layer and part != here and part.place is not None
+        ]
+        is_solved, apart = solution is not None, self._landmarks_apart(study)
+        sentence = messages.saved_study(written.name, extent, is_solved, apart, others)
+        self._guide.show_message(sentence)
+        self._set_stored(here, written)
+        return written
+
+    def save_as(self) -> None:
+        """Prompt for a file name, and save the study."""
+        here = self._session.slice
+        name = "study" if here.layer is None else _NO_FILE_NAME.sub("-", here.title)
+        known = self._session.unsaved.paths.get(here, Path(name + SUFFIX))
+        chosen, _ = QFileDialog.getSaveFileName(
+            self._dock.native, "Save the study", str(known), f"Studies (*{SUFFIX})"
+        )
+        if chosen:
+            self.save(chosen)
+
+    def _set_stored(self, here: Part, path: Path) -> None:
+        work = self._session.unsaved
+        work.save(here)
+        work.paths[here] = path
+        self.stored.emit(here)
+
+    def _landmarks_apart(self, study: Study) -> str:
+        """Return the name of the landmark layer if any of its pairs was not added, else ""."""
+        form, grid = self._controller.form, study.grid
+        where, should = form.motion.boundary.landmarks.pair
+        taken = [ends_of(mark, grid.spacing) for mark in study.motion.drawing.marks]
+        if where is None:
+            return ""
+        try:
+            chosen = read_landmarks(
+                where, should, grid.known_place, grid.shape, self._controller.view
+            )
+        except HmrfError:  # reported when the landmarks are added
+            return ""
+        return where.name if any((mark.target, mark.source) not in taken for mark in chosen) else ""
+
+    # Opening
+
+    def open(self, path: str | Path) -> None:
+        """Add the layers of a saved study, and keep the drawings on other layers."""
+        self.add(path)
+        self._controller.binding.begin()  # images opened later do not replace that of the study
+        self._set_stored(self._session.slice, Path(path))
+        self.opened.emit()
+
+    def add(self, path: str | Path, reuse: bool = False) -> None:
+        """Add the content of a file to the viewer, without undo steps for its layers.
+
+        If `reuse` is True, an open image without a drawing is used instead of an equal image of
+        the file.
+        """
+        (study, solution), controller = read_study(path), self._controller
+        if solution is not None:
+            controller.engine.start_from(solution)
+        layers = study_layers(study)
+        if reuse and "image" in layers:
+            layers["image"] = self._undrawn_image(layers["image"]) or layers["image"]
+        written = layers_of(self._viewer)
+        with controller.binding.automatically():
+            for layer in layers.values():
+                if layer in self._viewer.layers:
+                    written.want(layer)
+                else:
+                    written.add(layer, select=True)
+            if (frame := study.grid.place) is not None:
+                first = next(iter(layers.values()))
+                place = SlicePlace(frame.plane, (0,) * first.ndim)
+                undo_of(self._viewer).go_to(Part("drawing", first, place), turn=True)
+            self._session.restore(study, layers)
+            drawing, measured = study.motion.drawing, study.motion.measured
+            if measured is not None or drawing.marks:
+                is_read = controller.refresh()  # selects the slice
+                if drawing.marks and not is_read:
+                    reason = self._guide.scene.status
+                    raise HmrfError(f"{Path(path).name} cannot be shown here: {reason}")
+            if solution is not None:  # known before the motion starts a solve
+                shown = controller.reader.read(controller.reader.request())
+                motion = replace(shown.motion, drawing=drawing, measured=measured)
+                controller.engine.deliver_again(replace(shown, motion=motion), solution)
+            if measured is not None:
+                self._session.set_measured(measured)
+            controller.refresh()
+            controller.pointer.set_drawing(drawing, "")
+        if (brightness := controller.curve_layer.layer) is not None and study.moves:
+            written.want(brightness, wanted=False)  # would tint the deformed image
+        if (name := overlay_named_in(path)) in controller.form.result.overlay.choices:
+            self._session.choose_display(overlay=name)
+        self._awaited = self._session.image, second_image_named_in(path)
+        self._choose_second()
+        self._dock.fit_view()
+
+    def _undrawn_image(self, image: Any) -> Any:
+        """Return an open image that equals a layer and has no drawing, or None."""
+        parts = [each for each in self._session.parts if each.kind == "drawing"]
+        drawn = {each.layer for each in parts if self._session.get(each).marks}
+        for layer in self._viewer.layers:
+            if layer not in drawn and is_same_image(layer, image):
+                return layer
+        return None
+
+    # Second image
+
+    def _on_images(self, *_: Any) -> None:
+        """Choose the missing second image once the menus list a new layer."""
+        self._second_timer.start()
+
+    def _choose_second(self) -> None:
+        """Choose the second image that an opened study names, once it is in the viewer."""
+        (image, name), second = self._awaited, self._controller.form.result.second
+        if name and image is self._session.image and second.value is None:
+            named = [layer for layer in second.offered if layer.name == name]
+            if named:
+                with self._controller.binding.automatically():
+                    second.value = named[-1]
+                self._awaited = None, ""
+        missing = self._second if second.value is None else ""
+        self._missing.show_text(messages.SECOND_IMAGE.format(missing) if missing else "")
