@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -33,17 +33,7 @@ from napari_hmrf.ui.jobs import Jobs
 from napari_hmrf.ui.result.landmark_table import LandmarkRows, LandmarkTable
 from napari_hmrf.ui.result.moving_layers import MovingLayers
 from napari_hmrf.ui.result.result_form import ResultForm
-from napari_hmrf.ui.result.result_messages import (
-    FLAT_FILM,
-    NO_FORCES,
-    NO_IMAGE,
-    NO_RESULT,
-    SAVING,
-    UNKNOWN_UNCERTAINTY,
-    film_content,
-    saved,
-    saved_uncertainty,
-)
+from napari_hmrf.ui.result.result_messages import NO_IMAGE, NO_RESULT
 from napari_hmrf.ui.table_window import Cell, TableWindow
 
 _FOR_IMAGES = "Fields (*.mha *.nrrd *.nii.gz *.h5)"
@@ -52,7 +42,6 @@ _IMAGES = "Images (*.nii.gz *.nii *.mha *.nrrd *.tif)"
 _FILMS = "Films (*.gif *.mp4)"
 _BACK = "Moves images in SimpleITK, ANTs, elastix, Slicer: maps deformed to original positions"
 _FORTH = "Moves points. Maps original to deformed positions; the file records the direction"
-_EXPORT_BARS = "Export uncertainty"
 _BARS = (
     "Standard deviations along the motion and along each axis, as images on the undeformed image; "
     "choose 'uncertainty' in 'overlay' first"
@@ -99,13 +88,8 @@ class ResultMenu:
         show_message: Callable[[str], None],
         jobs: Jobs,
     ) -> None:
-        self._button, self._viewer, self._look, self._show_message = (
-            form.more,
-            viewer,
-            shown,
-            show_message,
-        )
-        self._jobs = jobs
+        self._button, self._viewer = form.more, viewer
+        self._look, self._show_message, self._jobs = shown, show_message, jobs
         #: Returns the rows of the table of landmarks, or None if there are none.
         self.landmarks: Callable[[], LandmarkRows | None] = lambda: None
         #: Sets the standard deviation of a landmark of the drawing.
@@ -153,7 +137,7 @@ class ResultMenu:
         answer = shown.answer
         subfolder = f"{answer.pictures.name or 'result'} pictures" if own_folder else ""
         arguments = Path(folder), answer.solution, shown.image, answer.unit, subfolder
-        self._show_message(SAVING)
+        self._show_message("Saving pictures ...")
         work = partial(write_result_pictures, *arguments)
         self._jobs.submit(f"pictures in {folder}", work, self._on_saved)
 
@@ -187,14 +171,17 @@ class ResultMenu:
         """
         shown = self._shown
         if shown.estimated is None:
-            raise HmrfError(UNKNOWN_UNCERTAINTY)
+            raise HmrfError(
+                "The uncertainty is not estimated. Choose 'uncertainty' in 'overlay' first."
+            )
         # The solution of the estimate has neither the place of the layers nor the air removed.
         found = replace(shown.estimated, solution=shown.answer.solution)
-        self._jobs.submit(
-            f"{path}",
-            partial(found.export, path, placed=False),
-            lambda paths: self._show_message(saved_uncertainty(paths)),
-        )
+
+        def show(paths: tuple[Path, ...]) -> None:
+            along = "The first image is ± along the motion, the others along each axis."
+            self._show_message(f"{_saved(paths)} {along}")
+
+        self._jobs.submit(f"{path}", partial(found.export, path, placed=False), show)
 
     def save_film(self, path: str | Path) -> None:
         """Write a film of the image, or of the visible slice of a volume, moving back and forth.
@@ -213,13 +200,17 @@ class ResultMenu:
         options: dict[str, Any] = {}
         if len(shown.answer.shape) == 3:
             if self._viewer.dims.ndisplay != 2:
-                raise HmrfError(FLAT_FILM)
+                raise HmrfError(
+                    "A film shows one slice of a volume: press napari's 2D/3D button first."
+                )
             axis, number = plane_shown(shown.answer.frame, View.of(self._viewer.dims))
             options = {"axis": axis, "number": number}
         layer, content = shown.layers.layer("overlay"), ""
         if shown.overlay is not None and layer is not None and layer.visible:
             options["overlay"] = film_overlay(shown.overlay, layer, shown.answer.solution)
-            content = film_content(str(layer.name), options["overlay"] is not None)
+            content = f" without '{layer.name}'"
+            if options["overlay"] is not None:
+                content = f" with the overlay '{layer.name}'"
         work = partial(write_film, path, shown.answer.solution, shown.image, **options)
         self._show_message("Saving the film ...")
         self._jobs.submit(
@@ -278,43 +269,40 @@ class ResultMenu:
     def _fill(self) -> None:
         """Fill the menu with the entries that apply now."""
         menu, shown = self._button.menu(), self._look()
+        source = None if shown is None else shown.source
+        has_bars = shown is not None and shown.estimated is not None
+        name = "result" if source is None else source.name
         menu.clear()
         about = "Displacement, change in area, and strain of each tissue"
-        measure = partial(attempt, self._show_measurements, self._show_message)
-        add_entry(menu, "Measurements ...", about, measure)
-        forces = partial(attempt, self._show_forces, self._show_message)
-        add_entry(menu, "Forces ...", "Forces that hold or move tissue", forces)
+        self._add_entry(menu, "Measurements ...", about, self._show_measurements)
+        self._add_entry(menu, "Forces ...", "Forces that hold or move tissue", self._show_forces)
         about = "Distance of each landmark from its target, and its uncertainty (±), to be edited"
-        pairs = partial(attempt, self._show_landmarks, self._show_message)
-        add_entry(menu, "Landmarks ...", about, pairs).setEnabled(self.landmarks() is not None)
+        pairs = self._add_entry(menu, "Landmarks ...", about, self._show_landmarks)
+        pairs.setEnabled(self.landmarks() is not None)
         along = menu.addMenu("Move along")
         along.setToolTipsVisible(True)
-        source = None if shown is None else shown.source
         layers = [each for each in self._viewer.layers if can_move(each) and each is not source]
-        rows = [(str(each.name), [each]) for each in layers]
-        for title, chosen in [*rows, ("All of these", layers)][: None if len(rows) > 1 else -1]:
-            move = partial(attempt, partial(self.move_along, *chosen), self._show_message)
-            add_entry(along, title, _WITH_IT, move)
         along.setEnabled(bool(layers))
-        forth = partial(self.save_field, forward=True)
-        name = "result" if source is None else str(source.name)
-        has_bars = shown is not None and shown.estimated is not None
-        for title, about, save, file, kinds, is_possible in (
-            (
-                "Export warp (backward)",
-                _BACK,
-                self.save_field,
-                "warp-backward.mha",
-                _FOR_IMAGES,
-                True,
-            ),
-            ("Export warp (forward)", _FORTH, forth, "warp-forward.nrrd", _FOR_POINTS, True),
-            ("Export uncertainty", _BARS, self.save_uncertainty, "sd.nrrd", _IMAGES, has_bars),
-            ("Save looping GIF", _GIF, self.save_gif, f"{name}.gif", _GIFS, True),
-            ("Save as film", _FILM, self.save_film, "film.gif", _FILMS, True),
-        ):
+        for layer in layers:
+            move = partial(self.move_along, layer)
+            self._add_entry(along, str(layer.name), _WITH_IT, move)
+        if len(layers) > 1:
+            self._add_entry(along, "All of these", _WITH_IT, partial(self.move_along, *layers))
+        backward, forward = self.save_field, partial(self.save_field, forward=True)
+        outputs: tuple[tuple[str, str, Callable[[str], Any], str, str], ...] = (
+            ("Export warp (backward)", _BACK, backward, "warp-backward.mha", _FOR_IMAGES),
+            ("Export warp (forward)", _FORTH, forward, "warp-forward.nrrd", _FOR_POINTS),
+            ("Export uncertainty", _BARS, self.save_uncertainty, "sd.nrrd", _IMAGES),
+            ("Save looping GIF", _GIF, self.save_gif, f"{name}.gif", _GIFS),
+            ("Save as film", _FILM, self.save_film, "film.gif", _FILMS),
+        )
+        for title, about, save, file, kinds in outputs:
             ask = partial(self._choose_file, save, title, file, kinds)
-            add_entry(menu, f"{title} ...", about, ask).setEnabled(is_possible)
+            entry = add_entry(menu, f"{title} ...", about, ask)
+            entry.setEnabled(has_bars or save != self.save_uncertainty)
+
+    def _add_entry(self, menu: Any, title: str, about: str, action: Callable[[], object]) -> Any:
+        return add_entry(menu, title, about, partial(attempt, action, self._show_message))
 
     def _on_save(self, *_: Any) -> None:
         title = "Choose where to create a folder of pictures"
@@ -323,7 +311,7 @@ class ResultMenu:
             attempt(partial(self.save_pictures, chosen, own_folder=True), self._show_message)
 
     def _on_saved(self, paths: list[Path]) -> None:
-        self._show_message(saved(paths))
+        self._show_message(_saved(paths))
         self.saved.emit(paths)
 
     def _show_measurements(self) -> None:
@@ -344,7 +332,10 @@ class ResultMenu:
         """Compute the forces that hold and move tissue, and show them in a table."""
         answer = self._shown.answer
         if answer.forces is None:
-            raise HmrfError(NO_FORCES)
+            raise HmrfError(
+                "Forces are available for elastic tissue and large motion, after Deform in this "
+                "session. Results of the paper's model and results from files have no forces."
+            )
         ways, stiffness = directions_of(answer.frame, self._viewer), answer.solution.stress_unit
 
         def show(rows: tuple[HeldForce, ...]) -> None:
@@ -355,8 +346,6 @@ class ResultMenu:
 
     def _show_landmarks(self) -> None:
         """Show the landmarks in a table, which is updated with each result."""
-        if self.landmarks() is None:
-            return
         if self._landmark_table is None:
             window, refuse = self._button.window(), self._show_message
             table = LandmarkTable(window, lambda mark, sd: self.set_sd(mark, sd), refuse)
@@ -383,3 +372,7 @@ class ResultMenu:
         path, _ = QtWidgets.QFileDialog.getSaveFileName(self._button, title, name, kinds)
         if path:
             attempt(partial(save, path), self._show_message)
+
+
+def _saved(paths: Sequence[Path]) -> str:
+    return f"Saved in {paths[0].parent}: {', '.join(path.name for path in paths)}."

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
-
 from napari_hmrf.field.directions import Directions
 from napari_hmrf.layers.result_layers import Name, PlacedSolution
 from napari_hmrf.posterior import Uncertainty
@@ -20,23 +17,15 @@ BURIED = (
     "This result is one slice, which is hidden inside the volume in the 3D view. Press napari's "
     "2D/3D button to see it."
 )
-FLAT_FILM = "A film shows one slice of a volume: press napari's 2D/3D button first."
 #: Progress while an overlay is drawn, which cannot be cancelled.
 DRAWING_OVERLAY = Monitor("drawing the overlay", 1.0)
 ESTIMATING = "Estimating the uncertainty"
 #: Messages about an estimate that was cancelled, or that is not possible.
 NOT_ESTIMATED = "The uncertainty was not estimated."
 NO_UNCERTAINTY = "Only results of the elastic model, solved in this session, have it."
-#: Message for an export of an uncertainty that is not estimated yet.
-UNKNOWN_UNCERTAINTY = "The uncertainty is not estimated. Choose 'uncertainty' in 'overlay' first."
-NO_FORCES = (
-    "Forces are available for elastic tissue and large motion, after Deform in this session. "
-    "Results of the paper's model and results from files have no forces."
-)
 #: Value of the overlay menu without an overlay, and its text.
 NOTHING: str = "nothing"
 _NONE = "none"
-SAVING = "Saving pictures ..."
 FULL = 100
 _UPRIGHT = Directions()
 
@@ -101,18 +90,3 @@ def least_sure(answer: PlacedSolution, estimated: Uncertainty) -> str:
     place = ", ".join(str(index) for index in site)
     longest = f"± {estimated.along[site]:.2g} {answer.unit}"
     return f"Least sure: {longest} at pixel ({place}). One more landmark helps most there."
-
-
-def saved_uncertainty(paths: Sequence[Path]) -> str:
-    """Return a message about the written images of the uncertainty."""
-    return f"{saved(paths)} The first image is ± along the motion, the others along each axis."
-
-
-def saved(paths: Sequence[Path]) -> str:
-    """Return a message with the names and the folder of the written pictures."""
-    return f"Saved in {paths[0].parent}: {', '.join(path.name for path in paths)}."
-
-
-def film_content(overlay: str, is_included: bool) -> str:
-    """Return a clause about the visible overlay, and whether the saved film includes it."""
-    return f" with the overlay '{overlay}'" if is_included else f" without '{overlay}'"
