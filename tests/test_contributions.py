@@ -101,9 +101,7 @@ def test_a_sample_gives_the_problem_of_its_phantom(opened, drawn):
     image, tissue, boundary = (Layer.create(*data) for data in opened())
     assert isinstance(image, Image)
     assert isinstance(tissue, Labels)
-    request = Request(
-        tissue, boundary, image, rows_of(tissue, "tissue"), rows_of(boundary, "boundary")
-    )
+    request = Request(tissue=tissue, boundary=boundary, image=image)
     problem = read_layers(request, ElasticPrior(), Multigrid()).problem
     expected = drawn.problem
     for field in ("observed", "confidence", "stiffness"):
@@ -149,8 +147,7 @@ def head_layers():
 def test_the_sample_volume_gives_the_problem_of_its_phantom(head_layers):
     image, tissue, boundary = head_layers
     view = View((1, 2), (0.0, 0.0, 0.0), volume=True)
-    rows = rows_of(tissue, "tissue"), rows_of(boundary, "boundary")
-    request = Request(tissue, boundary, image, *rows, view=view)
+    request = Request(tissue=tissue, boundary=boundary, image=image, view=view)
     problem = read_layers(request, ElasticPrior(), Multigrid()).problem
     expected = head_phantom(SAMPLE_SIZE, growth=GROWTH).problem
     assert problem.spacing == pytest.approx((2.0,) * 3)

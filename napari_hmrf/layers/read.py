@@ -35,14 +35,13 @@ from napari_hmrf.layers.slice_view import View, check_size, frame_of, plane_shap
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.volume_memory import STUDY, require_memory
-from napari_hmrf.study.session import BRIGHTNESS, Part, Session
-from napari_hmrf.study.study import Conditions, Grid, Motion, Pictures, Study, Tissue
+from napari_hmrf.study.session import BRIGHTNESS, ImageChoice, Part, Session
+from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing
-from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve, first_curve
 
-#: Value of `Request.confidence` that sets the confidence to 1 at edges in the image, 0 elsewhere.
+#: Value of `ImageChoice.confidence`: the confidence is 1 at edges in the image, and 0 elsewhere.
 EDGES = "edges"
 #: Largest shear angle of pixels that are treated as rectangles without a note, in degrees.
 _RIGHT_ANGLE = 0.1
@@ -57,20 +56,12 @@ _FIELDS: dict[str, tuple[str, ...]] = {
 }
 
 
-@dataclass(frozen=True)
-class Request(Conditions):
-    """Layers, tables and options selected by the user, with the drawing and the visible slice.
-
-    The `Conditions` on the tissue are given by name.
+@dataclass(frozen=True, kw_only=True)
+class Request(ImageChoice):
+    """Choices for an image, with its tables, its curve, its drawing and the visible slice.
 
     Attributes
     ----------
-    tissue : napari.layers.Labels or napari.layers.Image, optional
-        Tissue labels, with a stiffness for each label in `materials`; or image of the stiffness. By
-        default, the tissue is derived from the image.
-    boundary : napari.layers.Labels or napari.layers.Vectors, optional
-        Boundary labels, with a rule for each label in `rules`; or observed displacements: arrows on
-        the grid of the image, or a layer that contains a field on any grid.
     image : napari.layers.Image, optional
         Image to deform. Its grid is the reference; without an image, the grid of `tissue` is used.
     materials : tuple of Material, optional
@@ -78,33 +69,21 @@ class Request(Conditions):
     rules : tuple of BoundaryRule, optional
         Rules of the boundary labels, with lengths in the unit of the image; by default, those in
         the metadata of the boundary layer.
-    confidence : napari.layers.Image, napari.layers.Labels or "edges", optional
-        Confidence of the observed displacements: an image with values from 0 to 1; labels, which
-        are used as a mask; or "edges", which sets the confidence to 1 at edges in the image and to
-        0 elsewhere. By default, the confidence is 1 everywhere.
     view : View, optional
         Visible slice; by default, the first slice along the last two axes.
     drawing : Drawing, optional
         Drawn and painted marks, which take precedence; None if there is no drawing.
-    preset : Preset, optional
-        Tissues that can be painted if the tissue layer has no table. With a table, materials
-        of strokes with a label that the table lacks.
-    without_border : bool
-        True if unlabelled pixels in the dark border of the image are not tissue.
     curve : StiffnessCurve, optional
         Curve from the intensity of `image` to stiffness, used instead of `tissue`.
     """
 
-    tissue: Any = None
-    boundary: Any = None
+    without_border: bool = False
+    hold_edge: bool = False
     image: Any = None
     materials: tuple[Material, ...] | None = None
     rules: tuple[BoundaryRule, ...] | None = None
-    confidence: Any = None
     view: View | None = None
     drawing: Drawing | None = None
-    preset: Preset | None = None
-    without_border: bool = False
     curve: StiffnessCurve | None = None
 
     @classmethod
@@ -121,23 +100,21 @@ class Request(Conditions):
         tissue, boundary = choice.tissue_layer, choice.boundary
         materials = None if tissue is None else session.table(TISSUE, tissue)
         rules = None if boundary is None else session.table(BOUNDARY, boundary)
+        chosen = {**vars(choice), "tissue": tissue}
+        if not isinstance(boundary, Vectors):
+            chosen["confidence"] = None
         return cls(
             image=session.image,
-            tissue=tissue,
             materials=None if materials is None else materials.rows,
-            boundary=boundary,
             rules=None if rules is None else rules.rows,
-            confidence=choice.confidence if isinstance(boundary, Vectors) else None,
             view=view,
             drawing=session.drawing,
-            preset=choice.preset,
-            without_border=choice.without_border,
             curve=session.curve if choice.tissue == BRIGHTNESS else None,
-            **choice.conditions,
+            **chosen,
         )
 
     @property
-    def layers(self) -> tuple[Any, ...]:
+    def grid_layers(self) -> tuple[Any, ...]:
         """Layers that must have the same grid; the first layer is the reference."""
         arrows = None if holds_field(self.boundary) else self.boundary
         chosen = (self.image, self.tissue, arrows, self.confidence)
@@ -170,7 +147,7 @@ class _Reader:
     def __init__(self, request: Request, copies: LayerCopies) -> None:
         self._request = request
         self._copies = copies
-        self._reference = reference = request.layers[0]
+        self._reference = reference = request.grid_layers[0]
         self._frame = frame_of(reference, request.view)
         self._shape = plane_shape(reference, self._frame)
         with naming(image=reference):
@@ -185,7 +162,7 @@ class _Reader:
                 "the displayed positions are approximate; directions, lengths and saved files are "
                 "exact"
             )
-        if any(layer.multiscale for layer in request.layers):
+        if any(layer.multiscale for layer in request.grid_layers):
             self._notes.append(f"computed on the finest level, {grid_in_words(self._shape)}")
 
     def study(self) -> Study:
@@ -465,7 +442,7 @@ class StudyReader:
             study.motion,
             typical_strain=model.strain,
             drift=model.drift,
-            measured=self._session.get(Part("measured", request.layers[0], place)),
+            measured=self._session.get(Part("measured", request.grid_layers[0], place)),
         )
         return replace(study, motion=motion, prior=model.prior, optimizer=model.optimizer)
 
@@ -491,7 +468,7 @@ class StudyReader:
         for without in ((), ("motion",), ("tissue",), ("motion", "tissue")):
             left: dict[str, Any] = {name: None for part in without for name in _FIELDS[part]}
             some = replace(request, **left)
-            if not some.layers:
+            if not some.grid_layers:
                 continue
             try:
                 study = self.read(some)
@@ -526,5 +503,5 @@ class StudyReader:
 
 def _slice_of(request: Request) -> Part:
     """Return the key of the drawing of a request."""
-    layer = request.layers[0]
+    layer = request.grid_layers[0]
     return Part("drawing", layer, SlicePlace.of(frame_of(layer, request.view)))

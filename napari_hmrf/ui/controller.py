@@ -263,7 +263,7 @@ class Controller:
             request = replace(request, drawing=None)  # gives a specific error message
         study = self.reader.read(request)
         refuse_unsupported(study)
-        self._select_slice(study, request.layers[0])
+        self._select_slice(study, request.grid_layers[0])
         return replace(study, motion=replace(study.motion, drawing=self.session.drawing))
 
     def _select_slice(self, study: Study, source: Any) -> None:

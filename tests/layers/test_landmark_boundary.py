@@ -38,7 +38,14 @@ def request_with_landmarks(where, should, boundary=None, radius=None, confidence
     how = {"radius": radius, "confidence": confidence}
     marks = read_landmarks(where, should, frame_of(image), SHAPE, **how)
     tissue = Labels(tissue, name="Tissue", **place)
-    return Request(tissue, boundary, image, MATERIALS, RULES, drawing=Drawing(marks))
+    return Request(
+        tissue=tissue,
+        boundary=boundary,
+        image=image,
+        materials=MATERIALS,
+        rules=RULES,
+        drawing=Drawing(marks),
+    )
 
 
 def moved(wanted):

@@ -57,10 +57,10 @@ def request(shape=SHAPE, image=None, tissue=None, boundary=None, view=None, **pl
 
 def refusal(wanted: Request) -> ProblemError:
     """Return the error raised for a request, after a check that no layer was changed."""
-    before = [(np.array(layer.data), layer.name) for layer in wanted.layers]
+    before = [(np.array(layer.data), layer.name) for layer in wanted.grid_layers]
     with pytest.raises(ProblemError) as caught:
         read_layers(wanted)
-    for layer, (data, name) in zip(wanted.layers, before, strict=True):
+    for layer, (data, name) in zip(wanted.grid_layers, before, strict=True):
         np.testing.assert_array_equal(layer.data, data)
         assert layer.name == name
     return caught.value
@@ -282,10 +282,10 @@ def test_an_unpainted_boundary_is_refused_with_the_name_of_its_layer():
 def test_errors_name_layers_instead_of_symbols_of_the_solver():
     void = request()
     airy = tuple(Material(label, "air", 0.0) for label in range(3))
-    error = refusal(Request(void.tissue, void.boundary, void.image, airy, RULES))
+    error = refusal(replace(void, materials=airy))
     assert str(error).startswith("'Tissue' is 0 everywhere: there is no tissue")
     unsure = tuple(BoundaryRule(label, "fixed", confidence=(0.0, 0.0)) for label in (1, 2))
-    error = refusal(Request(void.tissue, void.boundary, void.image, MATERIALS, unsure))
+    error = refusal(replace(void, rules=unsure))
     assert str(error).startswith("'Boundary' is 0 everywhere: nothing determines how tissue moves")
 
 
@@ -359,10 +359,11 @@ def test_a_multiscale_image_is_read_at_its_finest_level_with_a_note():
 def test_one_row_of_pixels_is_accepted_and_one_pixel_is_refused():
     row = np.ones((1, 9), np.uint8)
     ends = np.array([[1, 0, 0, 0, 0, 0, 0, 0, 2]], np.uint8)
-    inputs = read_layers(Request(Labels(row), Labels(ends), None, MATERIALS, RULES))
+    tables = {"materials": MATERIALS, "rules": RULES}
+    inputs = read_layers(Request(tissue=Labels(row), boundary=Labels(ends), **tables))
     assert inputs.problem.shape == (1, 9)
     one = Labels(np.ones((1, 1), np.uint8), name="dot")
-    assert "single pixel" in str(refusal(Request(one, one, None, MATERIALS, RULES)))
+    assert "single pixel" in str(refusal(Request(tissue=one, boundary=one, **tables)))
 
 
 @pytest.mark.parametrize("kind", ["numpy", "dask", "multiscale"])
@@ -462,8 +463,7 @@ def test_arrows_are_observed_in_the_unit_of_the_image():
 def test_confidence_can_be_an_image():
     boundary = arrow_layer([(5, 3), (1, 1)], [(6, 4), (0, 1)])
     sure = np.full(SHAPE, 0.25)
-    wanted = request(boundary=boundary)
-    wanted = Request(wanted.tissue, boundary, wanted.image, MATERIALS, (), Image(sure, name="sure"))
+    wanted = replace(request(boundary=boundary), confidence=Image(sure, name="sure"))
     c = read_layers(wanted).problem.confidence
     np.testing.assert_array_equal(c[5, 3], [0.25, 0.25])
     assert (c > 0).sum() == 4
@@ -507,7 +507,7 @@ def test_arrows_out_of_the_slice_are_counted_and_do_not_fix_the_tissue():
     )
     viewer = ViewerModel()
     wanted = request((4, *SHAPE), boundary=Vectors(vectors, name="arrows"))
-    for layer in wanted.layers:
+    for layer in wanted.grid_layers:
         viewer.add_layer(layer)
     viewer.dims.set_current_step(0, 1)
     inputs = read_layers(seen(viewer, wanted))
@@ -529,21 +529,13 @@ def test_equal_arrows_in_one_pixel_are_merged():
 def stack(viewer_shape=(4, *SHAPE), **place):
     viewer = ViewerModel()
     wanted = request(viewer_shape, **place)
-    for layer in wanted.layers:
+    for layer in wanted.grid_layers:
         viewer.add_layer(layer)
     return viewer, wanted
 
 
 def seen(viewer, wanted):
-    return Request(
-        wanted.tissue,
-        wanted.boundary,
-        wanted.image,
-        MATERIALS,
-        RULES,
-        None,
-        View.of(viewer.dims),
-    )
+    return replace(wanted, view=View.of(viewer.dims))
 
 
 def test_the_displayed_slice_is_read():
@@ -596,15 +588,8 @@ def test_an_error_names_an_axis_that_a_layer_lacks():
 
 def test_two_dimensional_labels_apply_to_every_slice():
     viewer, wanted = stack()
-    flat = Request(
-        Labels(tissue_labels()),
-        Labels(boundary_labels()),
-        wanted.image,
-        MATERIALS,
-        RULES,
-        None,
-        View.of(viewer.dims),
-    )
+    tissue, boundary = Labels(tissue_labels()), Labels(boundary_labels())
+    flat = replace(seen(viewer, wanted), tissue=tissue, boundary=boundary)
     assert read_layers(flat).frame.ndim == 3
 
 
@@ -613,7 +598,7 @@ def test_labels_with_an_additional_axis_are_read_at_the_displayed_slice():
     labels = np.zeros((4, *SHAPE), np.uint8)
     labels[2] = tissue_labels()
     wanted = request(tissue=Labels(labels, name="Tissue", axis_labels=("z", "y", "x")))
-    for layer in wanted.layers:
+    for layer in wanted.grid_layers:
         viewer.add_layer(layer)
     viewer.dims.set_current_step(0, 2)
     inputs = read_layers(seen(viewer, wanted))
@@ -626,7 +611,7 @@ def test_an_oblique_slice_is_refused():
     tilted = Image(picture((4, *SHAPE)), rotate=(0.0, 20.0, 0.0), name="tilted")
     viewer = ViewerModel()
     viewer.add_layer(tilted)
-    wanted = Request(tilted, tilted, None, view=View.of(viewer.dims))
+    wanted = Request(tissue=tilted, boundary=tilted, view=View.of(viewer.dims))
     assert "at an oblique angle" in str(refusal(wanted))
 
 
@@ -648,10 +633,7 @@ def test_only_one_slice_of_a_lazy_stack_is_computed():
     viewer.add_layer(image)
     viewer.dims.set_current_step(0, 4)
     touched.clear()
-    wanted = request()
-    read_layers(
-        Request(wanted.tissue, wanted.boundary, image, MATERIALS, RULES, None, View.of(viewer.dims))
-    )
+    read_layers(seen(viewer, request(image=image)))
     assert set(touched) == {4}
 
 

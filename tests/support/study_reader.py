@@ -59,7 +59,8 @@ def read(study: Study) -> Read:
 def read_ground(image: Any, tissue: Any = None, boundary: Any = None, **how: Any) -> Ground:
     """Return the ground of layers to draw on, with a fixed edge by default."""
     chosen = {"hold_edge": True, "drawing": Drawing(), **how}
-    return Ground.of(study_from_layers(Request(tissue, boundary, image, **chosen)))
+    request = Request(tissue=tissue, boundary=boundary, image=image, **chosen)
+    return Ground.of(study_from_layers(request))
 
 
 class Stated(NamedTuple):
