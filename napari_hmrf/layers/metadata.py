@@ -70,7 +70,7 @@ def layer_metadata(
         known[_TABLES[role][0]] = [
             row.as_row() if isinstance(row, Material) else asdict(row) for row in rows
         ]
-    texts = {"unit": unit, "preset": preset, "whose": source}
+    texts = {"unit": unit, "preset": preset, "source": source}
     return {METADATA: {**known, **{name: words for name, words in texts.items() if words}}}
 
 

@@ -325,8 +325,9 @@ def test_a_table_of_the_model_is_stored_with_its_layer(layers):
     tissue = viewer.add_layer(layers["tissue"])
     model = undo_of(viewer).session
     model.set_table("tissue", tissue, RowTable((SOFT,)))
-    model.set_table("tissue", tissue, RowTable((STIFF,), "kPa"), "changed a table")
-    assert table_of(tissue, "tissue") == RowTable((STIFF,), "kPa")
+    table = RowTable((STIFF,), "kPa", "Brain", "a paper")
+    model.set_table("tissue", tissue, table, "changed a table")
+    assert table_of(tissue, "tissue") == table
 
 
 def test_edits_are_unsaved_work_and_automatic_changes_are_not(layers):
