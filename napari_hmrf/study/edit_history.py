@@ -117,11 +117,7 @@ class EditHistory:
         word : str
             Name of the step, in the past tense: "removed an arrow".
         """
-        self.end()
-        before = self._now[part]
-        if value != before:
-            self._keep(Step(part, before, word))
-            self._show(part, value)
+        self.do_all({part: value}, word)
 
     def do_all(self, values: Mapping[Any, Any], word: str) -> None:
         """End any edit in progress, then set the values of several parts as one step.

@@ -451,9 +451,7 @@ class Session(EditHistory):
         image = layers.get("image")
         self.select(image)
         if tissue.curve is not None:
-            part = Part("curve", image)
-            self.setdefault(part, tissue.curve)
-            self.amend(part, tissue.curve)
+            self._set(Part("curve", image), tissue.curve, "", tissue.curve)
         self.choose(
             step=False,
             tissue=layers.get("tissue") if tissue.curve is None else BRIGHTNESS,
@@ -492,9 +490,7 @@ class Session(EditHistory):
         self, kind: TableKind, layer: Hashable, table: RowTable[Any], word: str = ""
     ) -> None:
         """Change the table of a layer as a step named `word`, or without a step if `word` is ""."""
-        part = Part(kind, layer)
-        if self.setdefault(part, table) != table:
-            self._set(part, table, word)
+        self._set(Part(kind, layer), table, word, table)
 
     @property
     def curve(self) -> StiffnessCurve | None:
@@ -525,8 +521,7 @@ class Session(EditHistory):
 
     def draw(self, drawing: Drawing, word: str) -> None:
         """Change the drawing as a step named `word`, or without a step if `word` is ""."""
-        self.setdefault(self.slice, Drawing())
-        self._set(self.slice, drawing, word)
+        self._set(self.slice, drawing, word, Drawing())
 
     def begin_drawing(self, word: str) -> None:
         """Begin a drag; all its changes form one step."""
@@ -570,9 +565,7 @@ class Session(EditHistory):
 
         Without a word, the change is no step.
         """
-        part = self.measured_part
-        self.setdefault(part, None)
-        self._set(part, measured, word)
+        self._set(self.measured_part, measured, word, None)
 
     def register(self, part: Part, measured: MeasuredMotion) -> None:
         """Set the measured motion of a slice and release the edge of its image, as one step.
@@ -597,18 +590,19 @@ class Session(EditHistory):
         The chosen layers and their tables are kept. With a boundary layer, so is whether the edge
         is fixed; without one, it is fixed, as for a new image.
         """
-        choice, model = self.choice, self.model
+        choice = self.choice
         edge = choice.hold_edge if choice.boundary is not None else ImageChoice.hold_edge
         conditions = {**ImageChoice().conditions, "hold_edge": edge}
-        usual = replace(choice, without_border=True, preset=None, **conditions)
-        chosen, model_part = Part("choice", self.image), self.model_part
-        values: dict[Part, Any] = {self.slice: Drawing(), chosen: usual, model_part: ModelChoice()}
-        before = {self.slice: self.drawing, chosen: choice, model_part: model}
-        if self.get(self.measured_part) is not None:
-            values[self.measured_part] = None
-        for part, value in before.items():
+        default = replace(choice, without_border=True, preset=None, **conditions)
+        usual: dict[Part, Any] = {
+            self.slice: Drawing(),
+            Part("choice", self.image): default,
+            self.model_part: ModelChoice(),
+            self.measured_part: None,
+        }
+        for part, value in usual.items():
             self.setdefault(part, value)
-        self.do_all(values, "reset the study")
+        self.do_all(usual, "reset the study")
 
     def remove(self, layer: Hashable) -> None:
         """Drop the parts of a removed layer, and remove the layer from all choices."""
@@ -627,7 +621,7 @@ class Session(EditHistory):
         word = next((_STEP_NAMES[name] for name in _STEP_NAMES if name in changed), "")
         if not (step and word):
             self._change_earlier(part, before, now, changed)
-        self._set(part, now, word if step else "")
+        self._set(part, now, word if step else "", before)
 
     def _change_earlier(self, part: Part, before: Any, now: Any, changed: list[str]) -> None:
         """Apply a change that cannot be undone on its own to all states of a part in the history.
@@ -642,7 +636,9 @@ class Session(EditHistory):
                     same = {name: getattr(now, name) for name in names}
                     steps[number] = step._replace(value=replace(step.value, **same))
 
-    def _set(self, part: Part, value: Any, word: str) -> None:
+    def _set(self, part: Part, value: Any, word: str, usual: Any) -> None:
+        """Set a part that had the `usual` value so far, if it had none; without a word, no step."""
+        self.setdefault(part, usual)
         if word:
             self.do(part, value, word)
         else:
