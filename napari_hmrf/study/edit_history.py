@@ -7,7 +7,7 @@ undo restores them exactly.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from typing import Any, NamedTuple
 
 from psygnal import Signal
@@ -21,19 +21,24 @@ class Step(NamedTuple):
 
     Attributes
     ----------
-    part : hashable
-    value : object
-        Value that undo or redo would set.
+    values : dict of hashable to object
+        Value of each changed part that undo, in reverse order, or redo would set.
     word : str
         Name of the step.
-    is_joined : bool
-        True if undo and redo treat the step and the step before it as one.
     """
 
-    part: Hashable
-    value: Any
+    values: dict[Hashable, Any]
     word: str
-    is_joined: bool = False
+
+    @property
+    def part(self) -> Any:
+        """First changed part."""
+        return next(iter(self.values))
+
+    @property
+    def value(self) -> Any:
+        """Value of the first changed part."""
+        return self.values[self.part]
 
 
 class EditHistory:
@@ -130,13 +135,11 @@ class EditHistory:
             Name of the step, in the past tense.
         """
         self.end()
-        is_joined = False
-        for part, value in values.items():
-            before = self._now[part]
-            if value != before:
-                self._keep(Step(part, before, word, is_joined))
-                self._show(part, value)
-                is_joined = True
+        before = {part: self._now[part] for part in values if values[part] != self._now[part]}
+        if before:
+            self._keep(Step(before, word))
+            for part in before:
+                self._show(part, values[part])
 
     def begin(self, part: Hashable, word: str) -> None:
         """Begin an edit with several updates, such as a drag, that is undone as one step.
@@ -147,7 +150,7 @@ class EditHistory:
             If the part has no value.
         """
         self.end()
-        self._begun = Step(part, self._now[part], word)
+        self._begun = Step({part: self._now[part]}, word)
 
     def update(self, value: Any) -> None:
         """Set the value of the edit in progress.
@@ -196,7 +199,7 @@ class EditHistory:
             The undone step, with the value that `redo` would set; None if there is no step.
         """
         self.end()
-        return self._go(self._past, self._future)
+        return self._go(self._past, self._future, reversed)
 
     def redo(self) -> Step | None:
         """End any edit in progress, then redo one step.
@@ -207,18 +210,17 @@ class EditHistory:
             The redone step, with the value that `undo` would set; None if there is no step.
         """
         self.end()
-        return self._go(self._future, self._past)
+        return self._go(self._future, self._past, iter)
 
     def drop(self, unwanted: Callable[[Any], bool]) -> None:
         """Drop all parts for which `unwanted` returns True, and all steps of these parts."""
         if self._begun is not None and unwanted(self._begun.part):
             self._begun = None
         before = len(self._past) + len(self._future)
-        past, future = self._past, self._future
-        kept = _without(past, unwanted), _without(reversed(future), unwanted)[::-1]
-        for steps, left in zip((past, future), kept, strict=True):
+        for steps in (self._past, self._future):
+            kept = [_without(step, unwanted) for step in steps]
             steps.clear()
-            steps.extend(left)
+            steps.extend(step for step in kept if step.values)
         self._now = {part: value for part, value in self._now.items() if not unwanted(part)}
         if len(self._past) + len(self._future) != before:
             self.steps_changed.emit()
@@ -228,21 +230,17 @@ class EditHistory:
         self._future.clear()
         self.steps_changed.emit()
 
-    def _go(self, source: Any, target: Any) -> Step | None:
-        """Move a step and all steps joined with it; return the first of them."""
-        first: Step | None = None
-        while source:
-            step: Step = source.pop()
-            back = step._replace(value=self._now[step.part])
-            target.append(back)
-            self._show(step.part, step.value)
-            first = back if first is None or not back.is_joined else first
-            goes_on = step.is_joined if source is self._past else source and source[-1].is_joined
-            if not goes_on:
-                break
-        if first is not None:
-            self.steps_changed.emit()
-        return first
+    def _go(self, source: Any, target: Any, order: Callable[[Any], Any]) -> Step | None:
+        """Move the last step of the source, and set its parts in the given order."""
+        if not source:
+            return None
+        step: Step = source.pop()
+        back = step._replace(values={part: self._now[part] for part in step.values})
+        target.append(back)
+        for part in order(step.values):
+            self._show(part, step.values[part])
+        self.steps_changed.emit()
+        return back
 
     def _show(self, part: Hashable, value: Any, is_edit: bool = True) -> None:
         before = self._now[part]
@@ -253,14 +251,6 @@ class EditHistory:
                 self.edited.emit(part, before)
 
 
-def _without(steps: Iterable[Step], unwanted: Callable[[Any], bool]) -> list[Step]:
-    """Return steps, oldest first, without unwanted parts; joined steps remain joined."""
-    kept: list[Step] = []
-    has_first = True
-    for step in steps:
-        if not step.is_joined:
-            has_first = not unwanted(step.part)
-        if not unwanted(step.part):
-            kept.append(step if has_first else step._replace(is_joined=False))
-            has_first = True
-    return kept
+def _without(step: Step, unwanted: Callable[[Any], bool]) -> Step:
+    left = {part: value for part, value in step.values.items() if not unwanted(part)}
+    return step._replace(values=left)

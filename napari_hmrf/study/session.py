@@ -631,10 +631,11 @@ class Session(EditHistory):
         """
         for steps in (self._past, self._future):
             for number, step in enumerate(steps):
-                if step.part == part:
-                    names = [each for each in changed if not _differ(step.value, before, each)]
+                if (value := step.values.get(part)) is not None:
+                    names = [each for each in changed if not _differ(value, before, each)]
                     same = {name: getattr(now, name) for name in names}
-                    steps[number] = step._replace(value=replace(step.value, **same))
+                    values = {**step.values, part: replace(value, **same)}
+                    steps[number] = step._replace(values=values)
 
     def _set(self, part: Part, value: Any, word: str, usual: Any) -> None:
         """Set a part that had the `usual` value so far, if it had none; without a word, no step."""

@@ -144,10 +144,10 @@ def test_a_step_stores_its_part_and_its_description():
     edits.begin(SLOTS[0], "drew an arrow")
     edits.update(VALUES[SLOTS[0]][1])
     assert edits.in_progress == SLOTS[0]
-    assert edits.next_undo == Step(SLOTS[0], VALUES[SLOTS[0]][0], "drew an arrow")
+    assert edits.next_undo == Step({SLOTS[0]: VALUES[SLOTS[0]][0]}, "drew an arrow")
     step = edits.undo()
     assert (step.part, step.word) == (SLOTS[0], "drew an arrow")
-    assert edits.next_redo == Step(SLOTS[0], VALUES[SLOTS[0]][1], "drew an arrow")
+    assert edits.next_redo == Step({SLOTS[0]: VALUES[SLOTS[0]][1]}, "drew an arrow")
     assert edits.next_undo.word == "stiffened gel"
 
 
@@ -176,6 +176,11 @@ def test_values_that_were_set_together_are_undone_and_redone_together():
     assert state(edits) == FIRST | {SLOTS[0]: VALUES[SLOTS[0]][1]}
     assert edits.redo().part == SLOTS[0]
     assert state(edits) == after
+    changed = []
+    edits.changed.connect(lambda slot, _value: changed.append(slot))
+    edits.undo()
+    edits.redo()
+    assert changed == [*reversed(SLOTS), *SLOTS]
     assert [edits.undo().word, edits.undo().word, edits.undo()] == ["reset", "drew an arrow", None]
 
 
