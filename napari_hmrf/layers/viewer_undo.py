@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import weakref
 from contextlib import ExitStack, suppress
-from typing import Any
+from typing import Any, Literal
 
 from napari.layers import Labels
 from psygnal import Signal
@@ -54,13 +54,11 @@ class ViewerUndo:
 
     def undo(self) -> None:
         """Undo the last step, and show its image and slice."""
-        if not self._undo_older_paint("undo", self.session.next_undo):
-            self._report("undo", "Undid", self.session.undo(), "There is nothing to undo.")
+        self._go("undo", "Undid")
 
     def redo(self) -> None:
         """Redo the most recently undone step, and show its image and slice."""
-        if not self._undo_older_paint("redo", self.session.next_redo):
-            self._report("redo", "Redid", self.session.redo(), "There is nothing to redo.")
+        self._go("redo", "Redid")
 
     def tooltips(self, image: Any = None) -> tuple[str, str]:
         """Return the tooltips of undo and redo, with the next step and the key.
@@ -127,24 +125,22 @@ class ViewerUndo:
         # number of the undone stroke.
         self.session.do(part, next(_strokes), f"painted in '{event.source.name}'")
 
-    def _undo_older_paint(self, name: str, step: Step | None) -> bool:
-        """Undo or redo paint older than all steps; return whether there was such paint."""
-        layer = self._viewer.layers.selection.active
-        has_paint = step is None and bool(paint_steps(layer, name))
-        if has_paint:
+    def _go(self, name: Literal["undo", "redo"], done: str) -> None:
+        """Undo or redo a step, show its image, and report it; for paint, use napari's history."""
+        layer, step = self._viewer.layers.selection.active, getattr(self.session, name)()
+        if step is None and paint_steps(layer, name):  # painted before all steps
             self._repeat(layer, name)
-        return has_paint
-
-    def _report(self, name: str, what: str, step: Step | None, nothing: str) -> None:
-        """Report an undone or redone step and show its image; for paint, use napari's history."""
-        if step is not None and isinstance(part := step.part, Part):
+            return
+        if step is not None:
+            part = step.part
             # napari stores at most 100 strokes, so the stroke may no longer be available.
             if part.kind == "paint" and paint_steps(part.layer, name):
                 self._repeat(part.layer, name)
             self.select_image_of(part)
             self.go_to(part)
-            what += self._of_image(part)
-        self.message.emit(nothing if step is None else f"{what}: {step.word}.", step)
+            done += self._of_image(part)
+        sentence = f"There is nothing to {name}." if step is None else f"{done}: {step.word}."
+        self.message.emit(sentence, step)
 
     def _repeat(self, layer: Any, name: str) -> None:
         """Undo or redo a stroke in a Labels layer, and show the layer, which may be hidden.
@@ -165,8 +161,7 @@ class ViewerUndo:
     def _tip(self, what: str, step: Step | None, image: Any) -> str:
         if step is None:
             return f"Nothing to {what}"
-        part = step.part
-        own = self.session.image_of(part) if isinstance(part, Part) else None
+        own = self.session.image_of(step.part)
         where = f" on '{own.name}'" if own is not None and own is not image else ""
         return f"{what.capitalize()}{where}: {step.word}"
 
