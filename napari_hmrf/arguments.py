@@ -9,7 +9,7 @@ import reprlib
 from collections.abc import Iterable, Mapping, Sequence, Set, Sized
 from numbers import Real
 from pathlib import Path
-from types import UnionType
+from types import NoneType, UnionType
 from typing import Any, get_args
 
 from napari_hmrf.errors import ArgumentError
@@ -100,7 +100,7 @@ def require_kind(kind: type | UnionType, name: str, value: object, example: str)
     Parameters
     ----------
     kind : type or union of types
-        Required type.
+        Required type; a union with None for an optional argument.
     name : str
         Name of the argument.
     value : object
@@ -141,8 +141,9 @@ def tuple_of(kind: type | UnionType, name: str, values: Any, example: str) -> tu
 
 
 def _kinds(kind: type | UnionType) -> str:
-    """List the names of types for a message, such as "Arrow, Landmark or Stroke"."""
-    *others, last = (each.__name__ for each in get_args(kind) or (kind,))
+    """List the names of types for a message, such as "Arrow, Landmark or Stroke"; not None."""
+    kinds = (each for each in get_args(kind) or (kind,) if each is not NoneType)
+    *others, last = (each.__name__ for each in kinds)
     return f"{', '.join(others)} or {last}" if others else last
 
 

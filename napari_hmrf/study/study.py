@@ -16,7 +16,15 @@ from typing import Any, Literal, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.arguments import real, reals, refuse_unless, require_kind, shown, tuple_of
+from napari_hmrf.arguments import (
+    real,
+    reals,
+    refuse_unless,
+    require_flag,
+    require_kind,
+    shown,
+    tuple_of,
+)
 from napari_hmrf.errors import ArgumentError, ProblemError, naming
 from napari_hmrf.field.brightness import luminance
 from napari_hmrf.field.frame import Frame
@@ -342,14 +350,11 @@ class Tissue:
         refuse_unless(may_be_stiffness(self.unit), "unit", self.unit, requirement)
         materials = tuple_of(Material, "materials", self.materials, '(Material(1, "brain", 3.0),)')
         object.__setattr__(self, "materials", materials)
-        if self.preset is not None:
-            require_kind(Preset, "preset", self.preset, "PRESETS[0]")
-        if self.curve is not None:
-            example = "StiffnessCurve(((0, 10), (255, 40)))"
-            require_kind(StiffnessCurve, "curve", self.curve, example)
-        given = [
-            each for each in ("labels", "stiffness", "curve") if getattr(self, each) is not None
-        ]
+        require_kind(Preset | None, "preset", self.preset, "PRESETS[0]")
+        example = "StiffnessCurve(((0, 10), (255, 40)))"
+        require_kind(StiffnessCurve | None, "curve", self.curve, example)
+        sources = "labels", "stiffness", "curve"
+        given = [each for each in sources if getattr(self, each) is not None]
         if len(given) > 1:
             raise ProblemError(
                 "tissue", f"is defined by its {' and by its '.join(given)}. Pass only one of them."
@@ -467,18 +472,15 @@ class Motion(Conditions):
 
     def __post_init__(self) -> None:
         for name in ("drift", *(each.name for each in SWITCHES)):
-            value = getattr(self, name)
-            refuse_unless(isinstance(value, bool | np.bool_), name, value, "True or False")
+            require_flag(name, getattr(self, name))
         _check_arrays(self, "labels", "observed", "confidence")
         _take_whole_labels(self)
         rules = tuple_of(BoundaryRule, "rules", self.rules, '(BoundaryRule(1, "fixed"),)')
         object.__setattr__(self, "rules", rules)
         require_kind(Drawing, "drawing", self.drawing, "Drawing((Arrow(...),))")
         require_kind(Cavity, "cavity", self.cavity, "Cavity(pressure=0.1)")
-        if self.measured is not None:
-            require_kind(
-                MeasuredMotion, "measured", self.measured, "registration.motion().measured"
-            )
+        example = "registration.motion().measured"
+        require_kind(MeasuredMotion | None, "measured", self.measured, example)
         axes = len(self.weight) if isinstance(self.weight, Sized) else 1
         along = reals(self.weight, axes)
         requirement = "a finite number along each axis, such as (0.01, 0)"

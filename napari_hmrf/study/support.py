@@ -28,15 +28,11 @@ from napari_hmrf.tissue.drawing import Drawing
 Analysis = Literal["registration", "fit", "uncertainty"]
 
 _LINEAR: tuple[ModelName, ...] = ("elastic",)
-_MODELS: dict[Analysis, tuple[ModelName, ...]] = {
-    "registration": _LINEAR,
-    "fit": ELASTIC,
-    "uncertainty": _LINEAR,
-}
-_DESCRIBED: dict[Analysis, str] = {
-    "registration": "a registration",
-    "fit": "a fit",
-    "uncertainty": "an uncertainty",
+# Models that support each analysis, and the analysis in a sentence.
+_ANALYSES: dict[Analysis, tuple[tuple[ModelName, ...], str]] = {
+    "registration": (_LINEAR, "a registration"),
+    "fit": (ELASTIC, "a fit"),
+    "uncertainty": (_LINEAR, "an uncertainty"),
 }
 _LOADS = {
     "tissue": "has growth",
@@ -221,7 +217,7 @@ def refuse_unsupported(study: Study, **content: Any) -> None:
 
 def supports(model: ModelName, analysis: Analysis) -> bool:
     """Return whether an analysis is available for a model."""
-    return model in _MODELS[analysis]
+    return model in _ANALYSES[analysis][0]
 
 
 def refuse_model(study: Study, analysis: Analysis) -> None:
@@ -233,11 +229,11 @@ def refuse_model(study: Study, analysis: Analysis) -> None:
         If the model does not support the analysis.
     """
     name = family_of(study.prior, study.optimizer)
-    if not supports(name, analysis):
-        models = " or ".join(f"'{each}'" for each in _MODELS[analysis])
+    models, described = _ANALYSES[analysis]
+    if name not in models:
+        use = " or ".join(f"'{each}'" for each in models)
         raise ProblemError(
-            "model",
-            f"is '{name}', for which {_DESCRIBED[analysis]} is not available. Use {models}.",
+            "model", f"is '{name}', for which {described} is not available. Use {use}."
         )
 
 
@@ -253,5 +249,5 @@ def refuse_sliding_parts(study: Study, problem: Problem, analysis: Analysis) -> 
         raise LayerError(
             study.named("tissue", "image"),
             "has tissue that slides along other tissue, for which "
-            f"{_DESCRIBED[analysis]} is not available. Let no tissue slide (`slides=False`).",
+            f"{_ANALYSES[analysis][1]} is not available. Let no tissue slide (`slides=False`).",
         )
