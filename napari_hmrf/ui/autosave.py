@@ -15,10 +15,10 @@ from napari.utils.notifications import show_warning
 from qtpy.QtCore import QFile, Qt
 from qtpy.QtWidgets import QApplication
 
+from napari_hmrf.errors import in_words
 from napari_hmrf.io import recovery
 from napari_hmrf.io.study_file import image_named_in
 from napari_hmrf.study.session import Part, Session
-from napari_hmrf.ui import messages
 from napari_hmrf.ui.controller import Controller
 from napari_hmrf.ui.events import EventConnections, single_shot
 from napari_hmrf.ui.jobs import GuiThread
@@ -138,7 +138,11 @@ class Autosave:
         """Show why a slice cannot be autosaved, until it is autosaved or saved."""
         is_known = self._failures.pop(here, "")
         if failure is not None:
-            self._failures[here] = sentence = messages.not_autosaved(here.title, failure)
+            self._failures[here] = sentence = (
+                f"The work on '{here.title}' is not autosaved, so a crash would lose it: save it "
+                "with 'Save study ...'. The recovery file could not be written: "
+                f"{in_words(failure)}"
+            )
             if not is_known:
                 show_warning(sentence)
         shown = next(reversed(self._failures.values()), "")

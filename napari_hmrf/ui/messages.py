@@ -26,19 +26,19 @@ from napari_hmrf.wording import in_words_of
 
 #: Labels of the button that solves from a cold start, without and with *Live*.
 DEFORM, PRECISELY = "Deform", "Solve precisely"
-# The same button in a message, which is shown with the present label; see `with_button`.
-_BUTTON = "[Deform]"
+#: The same button in a message, which is shown with the present label; see `with_button`.
+BUTTON = "[Deform]"
 #: Kinds of messages: tissue does not move, and a file was saved.
 NO_MOTION, SAVED = "no motion", "saved"
 
 WELCOME = "Open an image first (File > Open), or a sample (File > Open Sample)."
 CHOOSE = "Choose an image above, or open one (File > Open)."
-READY = f"Press {_BUTTON}."
+READY = f"Press {BUTTON}."
 STILL = Note("Nothing moves yet: choose a tool, then drag or paint tissue.", kind=NO_MOTION)
 PAINT = "Paint in {}: click a row of a table, then paint with its label."
 CURVE = "First guess: brighter tissue is stiffer. Drag the points of the curve to change it."
 MEANWHILE = "The deformed image is hidden while you paint."
-CHANGED = f"The inputs have changed since the last result. Press {_BUTTON}."
+CHANGED = f"The inputs have changed since the last result. Press {BUTTON}."
 CANCELLED = "Cancelled; nothing was changed."
 STAYS = "The last result is still shown."
 #: Message after a solve from a cold start that used up its budget.
@@ -48,27 +48,23 @@ KEPT_RESULT = (
 )
 BEHIND = (
     "Cancelled: the picture and the warnings do not include the last edits. "
-    f"Press {_BUTTON} to update them."
+    f"Press {BUTTON} to update them."
 )
 #: Message if *Live* is off by default.
 LIVE_OFF = (
     "'Live' is off, because the image is larger than 1200 x 1200 pixels: after an edit without a "
-    f"tool, press {_BUTTON}, or tick 'Live'."
+    f"tool, press {BUTTON}, or tick 'Live'."
 )
 #: Messages about a result that is missing, or that lacks an input.
 LOST = (
     "The result was in the layer '{layer}', which was deleted. To create it again, press "
-    f"{_BUTTON} or pull tissue. To hide arrows, click the eye icon of their layer instead."
+    f"{BUTTON} or pull tissue. To hide arrows, click the eye icon of their layer instead."
 )
 FROM_A_FILE = (
     "A result file does not contain the input stiffness, motion and confidence. "
-    f"Press {_BUTTON} to solve again."
+    f"Press {BUTTON} to solve again."
 )
 NOT_CHOSEN = "'{}' was not chosen, because another image is in use. To use it, choose it above."
-SECOND_IMAGE = (
-    "The study was saved with the second image '{}', which is not in its file. Open this image to "
-    "compare, register or fit."
-)
 #: Question before a reset.
 RESET = (
     "Remove all marks of '{}' and restore the default settings? Layers and tables are kept. Undo "
@@ -144,7 +140,7 @@ def no_image(*, has_layers: bool) -> str:
 
 def with_button(text: str, label: str) -> str:
     """Return a message with the present label of the button that solves from a cold start."""
-    return text.replace(_BUTTON, label if label == DEFORM else f"'{label}'")
+    return text.replace(BUTTON, label if label == DEFORM else f"'{label}'")
 
 
 def report(done: CompleteResult) -> str:
@@ -252,46 +248,3 @@ def describe_image_choice(image: Any, hidden: Sequence[Any]) -> str:
     """Return a message if no image is chosen or if layers are hidden for the image, else ""."""
     names = ", ".join(f"'{layer.name}'" for layer in hidden)
     return _NO_IMAGE if image is None else names and _HIDDEN.format(image.name, names)
-
-
-def saved_study(
-    name: str, extent: str, solved: bool, pairs: str, unsaved: Sequence[str] = ()
-) -> str:
-    """Return a message about a saved study, and about content that is missing from its file.
-
-    Parameters
-    ----------
-    name : str
-        Name of the file.
-    extent : str
-        Name of the slice or of the volume; "" for an image without slices.
-    solved : bool
-        True if the file contains a field.
-    pairs : str
-        Name of the layer of landmarks that are missing from the file, or "".
-    unsaved : sequence of str
-        Names of other slices of the image, or of its volume, with unsaved changes.
-    """
-    saved = f"the study of {extent} as {name}" if extent else name
-    fieldless = f" without a field: press {_BUTTON} to get one"
-    parts = [f"Saved {saved}{'' if solved else fieldless}."]
-    if pairs:
-        parts.append(f"It lacks the landmarks of '{pairs}': press 'Use as landmarks'.")
-    if unsaved:
-        parts.append(f"Not saved yet: {', '.join(unsaved)}. Each has a file of its own.")
-    return " ".join(parts)
-
-
-def not_autosaved(name: str, error: Exception) -> str:
-    """Return a message that unsaved work would be lost in a crash, with the reason."""
-    return (
-        f"The work on '{name}' is not autosaved, so a crash would lose it: save it with 'Save "
-        f"study ...'. The recovery file could not be written: {in_words(error)}"
-    )
-
-
-def extent_name(slice_name: str) -> str:
-    """Return the name of a slice, such as "z = 12", or of the volume ("") in a sentence."""
-    if not slice_name:
-        return "the whole volume"
-    return slice_name if slice_name.startswith("slice") else f"the slice {slice_name}"

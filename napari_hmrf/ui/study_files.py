@@ -107,21 +107,26 @@ class StudyFiles:
         The field of a solve that is still being continued is saved, too.
         """
         controller, session = self._controller, self._session
-        work, here = session.unsaved, session.slice
+        work = session.unsaved
         study = controller.reader.read(controller.reader.request())
         latest = session.result if session.shows(study) else None
         solution = None if latest is None else latest.outputs.solution
-        written = self.writer()(path, study, solution)
+        written, here = self.writer()(path, study, solution), session.slice
+        place = study.grid.known_place.slice_seen
         has_slices = controller.form.extent.has_slices
-        extent = messages.extent_name(study.grid.known_place.slice_seen) if has_slices else ""
+        saved = f"the study of {_extent(place)} as {written.name}" if has_slices else written.name
+        fieldless = f" without a field: press {messages.BUTTON} to get one"
+        sentences = [f"Saved {saved}{fieldless if solution is None else ''}."]
+        if pairs := self._landmarks_apart(study):
+            sentences.append(f"It lacks the landmarks of '{pairs}': press 'Use as landmarks'.")
         others = [
-            messages.extent_name(part.place.name)
+            _extent(part.place.name)
             for part in work.slices
             if part.layer is here.layer and part != here and part.place is not None
         ]
-        is_solved, apart = solution is not None, self._landmarks_apart(study)
-        sentence = messages.saved_study(written.name, extent, is_solved, apart, others)
-        self._guide.show_message(sentence)
+        if others:
+            sentences.append(f"Not saved yet: {', '.join(others)}. Each has a file of its own.")
+        self._guide.show_message(" ".join(sentences))
         self._set_stored(here, written)
         return written
 
@@ -237,4 +242,15 @@ class StudyFiles:
                     second.value = named[-1]
                 self._awaited = None, ""
         missing = self._second if second.value is None else ""
-        self._missing.show_text(messages.SECOND_IMAGE.format(missing) if missing else "")
+        sentence = (
+            f"The study was saved with the second image '{missing}', which is not in its file. "
+            "Open this image to compare, register or fit."
+        )
+        self._missing.show_text(sentence if missing else "")
+
+
+def _extent(slice_name: str) -> str:
+    """Return the name of a slice, such as "z = 12", or of the volume ("") in a sentence."""
+    if not slice_name:
+        return "the whole volume"
+    return slice_name if slice_name.startswith("slice") else f"the slice {slice_name}"
