@@ -21,6 +21,9 @@ An edit passes through six steps:
 All layers are written by `layers.viewer_layers`, and the status text, the warning and the buttons
 that can be pressed are those of one `scene`, which `guide` draws.
 
+`study_files` saves and opens studies, `autosave` writes and opens recovery files, and `unsaved`
+asks before a window closes.
+
 `soft_tissue` combines these parts and is the interface for scripts. `viewer_watch` responds to
 napari events.
 """
