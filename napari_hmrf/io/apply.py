@@ -25,10 +25,10 @@ from napari_hmrf.io.fields import placed, read_field, write_field
 from napari_hmrf.io.images import ImageFile, read_image, write_image
 from napari_hmrf.io.landmark_files import (
     POINT_SUFFIXES,
-    LandmarkFile,
     read_points,
     write_points,
 )
+from napari_hmrf.io.landmark_frames import geometry_for
 from napari_hmrf.io.study_file import is_study_file, read_solved
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.real_arrays import whole_numbers
@@ -416,41 +416,3 @@ def _move_landmarks(
         moved = moved[:, np.argsort(order)]
     written = write_points(target, moved, file.targets, names=file.names, sd=file.sd)
     return Applied(written, "; ".join(notes))
-
-
-def geometry_for(file: LandmarkFile, geometry: Geometry | None, name: str, n: int) -> Geometry:
-    """Return the grid used to convert the points of a landmark file to pixels.
-
-    Parameters
-    ----------
-    file : LandmarkFile
-    geometry : Geometry or None
-        Grid of the image; None if it has no place.
-    name : str
-        Name of the file, for error messages.
-    n : int
-        Number of axes of the field.
-
-    Returns
-    -------
-    Geometry
-        Grid with the axes and the unit of the points.
-
-    Raises
-    ------
-    ProblemError
-        If the number of coordinates is neither the number of axes of the field nor that of the
-        image.
-    """
-    axes = file.points.shape[1]
-    image_axes = n if geometry is None else geometry.ndim
-    if axes not in (n, image_axes):
-        raise ProblemError(
-            name,
-            f"contains points with {axes} coordinates, but the image has {image_axes} axes. Give "
-            f"points with {image_axes} coordinates.",
-        )
-    if geometry is not None and file.unit == "mm" and axes == image_axes:
-        return geometry
-    spacing = () if geometry is None or file.unit == "pixel" else geometry.spacing[-axes:]
-    return Geometry.at_origin((1,) * axes, spacing)

@@ -19,11 +19,12 @@ from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.landmark_pairs import LandmarkPairs
 from napari_hmrf.field.warp import has_volume_loops
 from napari_hmrf.geometry import Geometry
-from napari_hmrf.io.apply import geometry_for, read_field_file
+from napari_hmrf.io.apply import read_field_file
 from napari_hmrf.io.case_options import Case, energy_of, notes_on_ratio, weight_of
 from napari_hmrf.io.fields import geometry_of
 from napari_hmrf.io.images import ImageFile, read_image, shape_of, stem_of, write_image
 from napari_hmrf.io.landmark_files import POINT_SUFFIXES, read_points
+from napari_hmrf.io.landmark_frames import in_pixels
 from napari_hmrf.io.overwriting import refuse_overwriting
 from napari_hmrf.io.segmentation_tables import tissue_table
 from napari_hmrf.io.study_file import is_study_file, read_study, write_study
@@ -420,20 +421,10 @@ def _landmarks(case: Case, path: Path, grid: Grid, whole: ImageFile) -> Drawing:
             "contains landmarks without target positions. Give pairs of landmarks, as written by "
             "BigWarp.",
         )
-    if not file.unit:
-        whole.refuse_lengths(case.image.name, path.name)
-    geometry = _part(whole, case).geometry
-    # BigWarp's coordinates refer to the axes in the file, before they are reordered by `upright`.
-    is_whole = whole.ndim == 3 and case.slice is None
-    of_file = whole.geometry if is_whole else geometry
-    of_points = geometry_for(file, of_file, path.name, n)
-    ends = [of_points.to_pixels(points) for points in (file.points, file.targets)]
-    if of_file is not None and geometry is not None and is_whole:
-        ends = [geometry.to_pixels(of_file.to_world(at)) for at in ends]
-    if of_points is not of_file and n == 2 and case.slice is not None:
-        ends = [
-            at - [*[case.slice] * (at.shape[1] - 2), 0, 0] for at in ends
-        ]  # convert from volume to slice coordinates
+    names = path.name, case.image.name
+    ends = [
+        in_pixels(file, points, whole, *names, case.slice) for points in (file.points, file.targets)
+    ]
     if any((abs(at[:, :-n]) > 0.5).any() for at in ends):
         raise ProblemError(
             path.name, "contains points that are not in the slice of the image. Remove them."
@@ -455,7 +446,7 @@ def _landmarks(case: Case, path: Path, grid: Grid, whole: ImageFile) -> Drawing:
         raise ProblemError(
             path.name,
             f"has {outside} of {len(sources)} landmarks outside the image. Check that the "
-            f"coordinates are in {'pixels' if geometry is None else 'mm'} along the axes of "
+            f"coordinates are in {'pixels' if whole.geometry is None else 'mm'} along the axes of "
             f"{case.image.name}, and remove landmarks outside the image.",
         )
     most = largest_spread(grid.shape, grid.spacing)

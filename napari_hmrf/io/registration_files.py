@@ -21,13 +21,13 @@ from napari_hmrf.errors import HmrfError, ProblemError, naming
 from napari_hmrf.extras import how_to_install
 from napari_hmrf.field.brightness import luminance
 from napari_hmrf.field.units import unit_symbol
-from napari_hmrf.io.apply import geometry_for
 from napari_hmrf.io.case import read_case
 from napari_hmrf.io.case_options import Case
 from napari_hmrf.io.fields import geometry_of, write_mapping
 from napari_hmrf.io.images import ImageFile, read_image, shape_of, stem_of, write_image
 from napari_hmrf.io.itk_files import has_simpleitk
-from napari_hmrf.io.landmark_files import LandmarkFile, read_points
+from napari_hmrf.io.landmark_files import read_points
+from napari_hmrf.io.landmark_frames import in_pixels
 from napari_hmrf.io.overwriting import refuse_overwriting
 from napari_hmrf.io.study_file import is_study_file, write_study
 from napari_hmrf.io.sweeps import with_ratio
@@ -487,8 +487,10 @@ def _landmarks(case: RegistrationCase, pair: _Pair, matrix: Float64Array) -> Lan
             "written by BigWarp.",
         )
     n, sizes = len(pair.spacing), np.asarray(pair.spacing)
-    points = _in_pixels(case.fixed, file, file.points, name, n)
-    targets = _in_pixels(case.moving, file, file.targets, name, n)
+    points, targets = (
+        in_pixels(file, points, read_image(image), name, image.name)[:, -n:]
+        for image, points in ((case.fixed, file.points), (case.moving, file.targets))
+    )
     if not len(points):
         raise ProblemError(name, "contains no active landmarks. Give at least one active pair.")
     outside = int(are_outside(points, pair.study.grid.shape).sum())
@@ -507,20 +509,6 @@ def _landmarks(case: RegistrationCase, pair: _Pair, matrix: Float64Array) -> Lan
     if file.sd is not None:
         sd = np.where(file.sd > 0, file.sd, _EXACT * pixel)
     return Landmarks(points, before, sd=sd)
-
-
-def _in_pixels(
-    image: Path, file: LandmarkFile, points: Float64Array, name: str, n: int
-) -> Float64Array:
-    """Convert points of a landmark file to pixels of an image, as `read_case` lays it out."""
-    whole = read_image(image)
-    if not file.unit:
-        whole.refuse_lengths(image.name, name)
-    at = geometry_for(file, whole.geometry, name, n).to_pixels(points)
-    laid_out = whole.laid_out.geometry
-    if whole.ndim == 3 and whole.geometry is not None and laid_out is not None:
-        at = laid_out.to_pixels(whole.geometry.to_world(at))
-    return at[:, -n:]
 
 
 def _study_of(case: RegistrationCase, pair: _Pair, found: Registration) -> Study:

@@ -1,0 +1,103 @@
+"""Conversion of the points of landmark files to pixels."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.errors import ProblemError
+from napari_hmrf.geometry import Geometry
+from napari_hmrf.io.images import ImageFile
+from napari_hmrf.io.landmark_files import LandmarkFile
+
+Points = npt.NDArray[np.float64]
+
+
+def in_pixels(
+    file: LandmarkFile,
+    points: Points,
+    image: ImageFile,
+    name: str,
+    image_name: str,
+    number: int | None = None,
+) -> Points:
+    """Convert points of a landmark file to pixels of an image, as it is solved.
+
+    Coordinates in BigWarp's files are along the axes of the image file, from its first pixel; those
+    in other files are positions in the patient.
+
+    Parameters
+    ----------
+    file : LandmarkFile
+    points : ndarray, shape (N, n)
+        Its points or targets.
+    image : ImageFile
+        Image as it is stored.
+    name, image_name : str
+        Names of both files, for error messages.
+    number : int, optional
+        Index of the slice that is solved; by default, the whole image is solved.
+
+    Returns
+    -------
+    ndarray, shape (N, n)
+        Points in pixels. A slice of a volume may have three coordinates, the first across the
+        slice.
+
+    Raises
+    ------
+    ProblemError
+        If the number or the unit of the coordinates is not that of the image.
+    """
+    if not file.unit:
+        image.refuse_lengths(image_name, name)
+    whole, solved = image.geometry, image.laid_out
+    if number is not None:
+        whole, solved = None if whole is None else whole.slice_at(number), image
+    n = 2 if number is not None else solved.ndim
+    of_points = geometry_for(file, whole, name, n)
+    at = of_points.to_pixels(points)
+    if number is None:
+        if image.ndim == 3 and whole is not None and solved.geometry is not None:
+            at = solved.geometry.to_pixels(whole.to_world(at))
+    elif of_points is not whole:
+        at -= [*[number] * (at.shape[1] - 2), 0, 0]
+    return at
+
+
+def geometry_for(file: LandmarkFile, geometry: Geometry | None, name: str, n: int) -> Geometry:
+    """Return the grid used to convert the points of a landmark file to pixels.
+
+    Parameters
+    ----------
+    file : LandmarkFile
+    geometry : Geometry or None
+        Grid of the image; None if it has no place.
+    name : str
+        Name of the file, for error messages.
+    n : int
+        Number of axes of the field.
+
+    Returns
+    -------
+    Geometry
+        Grid with the axes and the unit of the points.
+
+    Raises
+    ------
+    ProblemError
+        If the number of coordinates is neither the number of axes of the field nor that of the
+        image.
+    """
+    axes = file.points.shape[1]
+    image_axes = n if geometry is None else geometry.ndim
+    if axes not in (n, image_axes):
+        raise ProblemError(
+            name,
+            f"contains points with {axes} coordinates, but the image has {image_axes} axes. Give "
+            f"points with {image_axes} coordinates.",
+        )
+    if geometry is not None and file.unit == "mm" and axes == image_axes:
+        return geometry
+    spacing = () if geometry is None or file.unit == "pixel" else geometry.spacing[-axes:]
+    return Geometry.at_origin((1,) * axes, spacing)
