@@ -186,13 +186,13 @@ class BoundaryTable(LabelTable[BoundaryRule]):
                 _action,
                 tuple(_BY_WORD),
             ),
-            *(_along(axis, unit, ways, "move", self._largest_distance) for axis in (0, 1)),
+            *(_along(axis, unit, ways, "move", self.largest) for axis in (0, 1)),
             _amount(
                 "out",
                 "Distance outward; negative: inward. For a surface that slides, usually 0",
                 unit,
                 ("expand", "slide"),
-                self._largest_distance,
+                self.largest,
             ),
             Column(
                 "confi-\ndence",
@@ -207,13 +207,10 @@ class BoundaryTable(LabelTable[BoundaryRule]):
                 "Force per area; negative: suction",
                 per_area,
                 ("press",),
-                _largest_force,
+                math.inf,
             ),
-            *(_along(axis, per_area, ways, "pull", _largest_force) for axis in (0, 1)),
+            *(_along(axis, per_area, ways, "pull", math.inf) for axis in (0, 1)),
         ]
-
-    def _largest_distance(self) -> float:
-        return self.largest
 
     def show_place(self, unit: str, ways: Directions, stiffness: str) -> None:
         """Show the units of amounts and forces, and the directions of rows and columns."""
@@ -235,12 +232,8 @@ def _action(rule: BoundaryRule, text: str) -> BoundaryRule:
     return changed_rule if same else replace(changed_rule, vector=(0.0, 0.0), amount=0.0)
 
 
-def _largest_force() -> float:
-    return math.inf
-
-
 def _along(
-    axis: int, unit: str, ways: Directions, action: Action, largest: Callable[[], float]
+    axis: int, unit: str, ways: Directions, action: Action, largest: float
 ) -> Column[BoundaryRule]:
     """Return the column for one component of a motion or a pull, along rows or columns."""
 
@@ -257,7 +250,7 @@ def _along(
 
 
 def _amount(
-    title: str, about: str, unit: str, actions: tuple[Action, ...], largest: Callable[[], float]
+    title: str, about: str, unit: str, actions: tuple[Action, ...], largest: float
 ) -> Column[BoundaryRule]:
     """Return the column for an amount that applies to some actions only."""
 
@@ -273,7 +266,7 @@ def _distance(
     unit: str,
     amount: Callable[[BoundaryRule], float | None],
     changed: Callable[[BoundaryRule, float], BoundaryRule],
-    largest: Callable[[], float],
+    largest: float,
 ) -> Column[BoundaryRule]:
     """Return a column of numbers with a unit; a cell is empty if `amount` returns None."""
 
@@ -282,8 +275,8 @@ def _distance(
         return "" if value is None else f"{round(value, 9) + 0.0:g}"
 
     def typed(rule: BoundaryRule, text: str) -> BoundaryRule:
-        if not abs(far := number_of(text)) <= (limit := largest()) or math.isinf(far):
-            known = "in" if math.isinf(limit) else f"from {-limit:g} to {limit:g}"
+        if not abs(far := number_of(text)) <= largest or math.isinf(far):
+            known = "in" if math.isinf(largest) else f"from {-largest:g} to {largest:g}"
             raise ValueError(f"The value must be a number {known} {unit}")
         return changed(rule, far)
 
