@@ -8,6 +8,7 @@ from functools import partial
 from typing import Any
 
 from magicgui.widgets import ComboBox, Container, FloatSlider, FloatSpinBox, Label
+from magicgui.widgets.bases import RangedWidget
 from qtpy.QtCore import QEvent, QObject, QPropertyAnimation, Qt
 from qtpy.QtCore import Signal as QtSignal
 from qtpy.QtGui import QKeySequence, QPainter, QTextLayout
@@ -48,14 +49,33 @@ def share(label: str, tooltip: str, **options: Any) -> FloatSlider:
     return made
 
 
+def number(
+    label: str, tooltip: str, *, decimals: int = 2, value: float = 0.0, **options: Any
+) -> FloatSpinBox:
+    """Create a field for a number; it emits its value when the number is complete."""
+    made = FloatSpinBox(label=label, tooltip=tooltip, **options)
+    made.native.setDecimals(decimals)
+    made.native.setKeyboardTracking(False)  # "0." is not a complete number
+    made.value = value
+    return made
+
+
 def length(label: str, tooltip: str, least: float = -1e9, **options: Any) -> FloatSpinBox:
     """Create a field for a length, or for a displacement if negative values are allowed.
 
     The range of the field is wide, so that a number out of the range of the image can be typed; the
     form refuses the number with a message. Otherwise Qt would drop some of its digits.
     """
-    settings = {"value": 0.0, "min": least, "max": 1e9, "step": 0.5, **options}
-    return FloatSpinBox(label=label, tooltip=tooltip, **settings)
+    return number(label, tooltip, min=least, max=1e9, **{"step": 0.5, **options})
+
+
+def show_value(field: Any, value: Any) -> None:
+    """Show a value in a field, even if the user cannot choose or type it."""
+    if isinstance(field, ComboBox) and value not in field.choices:
+        field.set_choice(f"{value:g}" if isinstance(value, float) else str(value), value)
+    elif isinstance(field, RangedWidget):
+        field.range = min(field.min, value), max(field.max, value)
+    field.value = value
 
 
 def menu(label: str, words: Mapping[Any, str], tooltip: str, **options: Any) -> ComboBox:

@@ -8,9 +8,7 @@ from typing import Any, get_type_hints
 
 from magicgui.widgets import (
     CheckBox,
-    ComboBox,
     Container,
-    FloatSpinBox,
     RadioButtons,
     create_widget,
 )
@@ -28,7 +26,7 @@ from napari_hmrf.study.session import ModelChoice
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.font_size import LabelAligner
-from napari_hmrf.ui.forms import Prose, align_labels, menu, narrow
+from napari_hmrf.ui.forms import Prose, align_labels, menu, narrow, number, show_value
 
 #: Size of the icon on a plane button, in pixels.
 _PICTURE = QSize(64, 32)
@@ -87,11 +85,10 @@ class DetailsForm(Container):
 
     @details.setter
     def details(self, details: SolverDetails) -> None:
-        for name, value in asdict(details).items():
-            field = self[name]
-            if isinstance(field, ComboBox) and value not in field.choices:
-                field.set_choice(f"{value:g}" if isinstance(value, float) else str(value), value)
-        self.update(asdict(details))
+        with self.changed.blocked():
+            for name, value in asdict(details).items():
+                show_value(self[name], value)
+        self.changed.emit(self)
 
 
 class _PlaneChoice(RadioButtons):
@@ -141,23 +138,24 @@ class ModelForm(Container):
             value="stress",
             tooltip="Surroundings of the slice: nothing (plane stress), or tissue (plane strain)",
         )
-        self.poisson = FloatSpinBox(
+        self.poisson = number(
+            "Poisson's ratio",
+            ABOUT_POISSON,
             name="poisson",
-            label="Poisson's ratio",
+            decimals=3,
             min=low,
             max=1.0,  # too large a ratio causes an error message instead of becoming 0
             step=0.05,
             value=USUAL_POISSON,
-            tooltip=ABOUT_POISSON,
         )
-        self.strain = FloatSpinBox(
+        self.strain = number(
+            "typical strain (%)",
+            _ABOUT_STRAIN,
             name="strain",
-            label="typical strain (%)",
             min=_STRAINS[0],
             max=_STRAINS[1],
             step=1.0,
             value=100 * StrainScale.strain,
-            tooltip=_ABOUT_STRAIN,
         )
         self.drift = CheckBox(name="drift", text="affine drift", tooltip=_ABOUT_DRIFT)
         self._when = Prose()
@@ -168,9 +166,6 @@ class ModelForm(Container):
         form.margins = (0, 0, 0, 0)
         align_labels(form)
         LabelAligner(form.native)
-        self.poisson.native.setDecimals(3)
-        for field in (self.poisson, self.strain):
-            field.native.setKeyboardTracking(False)  # "0." is not a complete ratio
         self.in_detail = DetailsForm()
         self._tissue: Any = None
         self._volume = False

@@ -17,6 +17,7 @@ from napari_hmrf.study.session import ModelChoice
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.material_presets import PRESETS
 from napari_hmrf.ui.messages import MODELS
+from napari_hmrf.ui.model import ModelForm
 from tests.support.docks import viewer_of
 from tests.support.screen import Cell, Screen
 
@@ -194,6 +195,14 @@ def test_choosing_the_paper_model_restores_the_settings_of_the_paper(widget, sma
     again = run(widget).solution
     np.testing.assert_array_equal(again.displacement, papers.displacement)
     np.testing.assert_array_equal(again.energy, papers.energy)
+
+
+def test_settings_that_cannot_be_typed_are_shown(qtbot):
+    form = ModelForm()
+    qtbot.addWidget(form.native)
+    for details in (SolverDetails(sweeps=200_000), SolverDetails(penalty=1e12)):
+        form.choice = ModelChoice("paper", details=details)
+        assert form.choice.details == details
 
 
 def test_choosing_the_same_model_again_restores_its_settings(widget):

@@ -17,11 +17,10 @@ from napari_hmrf.layers.slice_view import View
 from napari_hmrf.study.session import ImageChoice
 from napari_hmrf.study.study import SWITCHES
 from napari_hmrf.ui.forms import row
-from napari_hmrf.ui.motion.cavity_form import CavityForm
+from napari_hmrf.ui.motion.load_forms import CavityForm, WeightForm
 from napari_hmrf.ui.motion.tool import Tool
 from napari_hmrf.ui.motion.tool_fields import ToolFields
 from napari_hmrf.ui.motion.tools import TOOLS
-from napari_hmrf.ui.motion.weight_form import WeightForm
 from napari_hmrf.ui.tissue_form import BoundarySection
 
 #: Number of tool buttons in each row; the buttons of the first row are larger.

@@ -113,8 +113,6 @@ class ToolFields(Container):
         for name, field in fields.items():
             field.name = name
         super().__init__(widgets=[*fields.values()])
-        for field in lengths:  # emit no value while a number is being typed
-            field.native.setKeyboardTracking(False)
         self.margins = (0, 0, 0, 0)
         LabelAligner(self.native)
         self._tool = BY_NAME["pull"]
