@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
 from magicgui.widgets import ComboBox, Container, FloatSlider, FloatSpinBox, Label
-from magicgui.widgets.bases import RangedWidget
+from magicgui.widgets.bases import RangedWidget, Widget
 from qtpy.QtCore import QEvent, QObject, QPropertyAnimation, Qt
 from qtpy.QtCore import Signal as QtSignal
 from qtpy.QtGui import QKeySequence, QPainter, QTextLayout
@@ -27,6 +27,7 @@ from qtpy.QtWidgets import (
 from superqt import QCollapsible
 
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.ui.font_size import LabelAligner
 from napari_hmrf.ui.messages import in_short
 
 #: Word at the end of a text that does not fit.
@@ -121,6 +122,20 @@ def row(*widgets: Any) -> Container:
     made = Container(widgets=widgets, layout="horizontal", labels=False)
     made.native.layout().setSpacing(2)
     return made
+
+
+class Form(Container):
+    """Form of labelled fields, without margins; all labels have the same width.
+
+    Parameters
+    ----------
+    widgets : sequence of Widget
+    """
+
+    def __init__(self, widgets: Sequence[Widget]) -> None:
+        super().__init__(widgets=widgets)
+        self.margins = (0, 0, 0, 0)
+        LabelAligner(self.native)
 
 
 class Prose(Label):
@@ -373,9 +388,3 @@ class CalmField(QObject):
         if theirs:
             event.ignore()
         return theirs
-
-
-def align_labels(form: Container) -> None:
-    """Give all labels of a form the same width; magicgui does so only when a label changes."""
-    first = form[0]
-    first.label = first.label

@@ -6,13 +6,13 @@ import weakref
 from collections.abc import Callable
 from typing import Any
 
-from magicgui.widgets import ComboBox, Container, PushButton
+from magicgui.widgets import ComboBox, PushButton
 from napari.layers import Image, Points, Shapes
 from psygnal import Signal
 
 from napari_hmrf.layers.metadata import TISSUE, metadata_of, role_of
 from napari_hmrf.layers.slice_view import layer_extents
-from napari_hmrf.ui.forms import align_labels, narrow
+from napari_hmrf.ui.forms import Form, narrow
 
 
 def is_picture(layer: Any) -> bool:
@@ -79,7 +79,7 @@ class LayerChoice(ComboBox):
             self.changed.emit(after)
 
 
-class LandmarkChoice(Container):
+class LandmarkChoice(Form):
     """Menus for landmarks and their targets, visible only if there is a Points or Shapes layer.
 
     Parameters
@@ -114,7 +114,7 @@ class LandmarkChoice(Container):
         )
         # Layers that were chosen automatically before; the user may have cleared the choice.
         self._suggested: weakref.WeakSet[Points] = weakref.WeakSet()
-        super().__init__(widgets=[self.sources, self.targets, self.take_button])
+        super().__init__([self.sources, self.targets, self.take_button])
         self.sources.changed.connect(self._on_sources)
         self.refresh()
 
@@ -141,7 +141,6 @@ class LandmarkChoice(Container):
         self.visible = bool(self.sources.offered)
         self.targets.visible = not isinstance(self.sources.value, Shapes)
         self.take_button.enabled = self.sources.value is not None
-        align_labels(self)
 
     def _on_sources(self, layer: Any) -> None:
         # A layer cannot have both roles, so the other of two Points layers becomes the target.

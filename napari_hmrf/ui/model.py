@@ -25,8 +25,7 @@ from napari_hmrf.study.models import SolverDetails, detail_names
 from napari_hmrf.study.session import ModelChoice
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 from napari_hmrf.ui import messages
-from napari_hmrf.ui.font_size import LabelAligner
-from napari_hmrf.ui.forms import Prose, align_labels, menu, narrow, number, show_value
+from napari_hmrf.ui.forms import Form, Prose, menu, narrow, number, show_value
 
 #: Size of the icon on a plane button, in pixels.
 _PICTURE = QSize(64, 32)
@@ -54,7 +53,7 @@ _ABOUT_DRIFT = (
 )
 
 
-class DetailsForm(Container):
+class DetailsForm(Form):
     """Form with the fields of `SolverDetails`; only the fields of the chosen model are visible.
 
     Attributes
@@ -70,8 +69,7 @@ class DetailsForm(Container):
             for each in fields(SolverDetails)
         ]
         self.device = menu("device", _DEVICES, _ABOUT_DEVICE, name="device")
-        super().__init__(widgets=[*made, self.device])
-        align_labels(self)
+        super().__init__([*made, self.device])
         self["penalty"].native.setSpecialValueText("automatic")
         self["grip"].native.setSpecialValueText("by confidence")
         self["grip"].native.setDecimals(4)
@@ -159,13 +157,8 @@ class ModelForm(Container):
         )
         self.drift = CheckBox(name="drift", text="affine drift", tooltip=_ABOUT_DRIFT)
         self._when = Prose()
-        self._form = form = Container(
-            widgets=[self.model, self.plane, self.poisson, self.strain, self.drift]
-        )
-        super().__init__(widgets=[form, self._when], labels=False)
-        form.margins = (0, 0, 0, 0)
-        align_labels(form)
-        LabelAligner(form.native)
+        self._form = Form([self.model, self.plane, self.poisson, self.strain, self.drift])
+        super().__init__(widgets=[self._form, self._when], labels=False)
         self.in_detail = DetailsForm()
         self._tissue: Any = None
         self._volume = False

@@ -10,7 +10,7 @@ from psygnal import Signal
 from napari_hmrf.extras import how_to_install
 from napari_hmrf.registration.alignment import Kind
 from napari_hmrf.study.measured_motion import MeasuredMotion
-from napari_hmrf.ui.forms import Prose, menu, narrow, row
+from napari_hmrf.ui.forms import Form, Prose, menu, narrow, row
 
 _ALIGNMENTS: dict[Kind | None, str] = {
     None: "as placed",
@@ -71,9 +71,9 @@ class RegistrationForm(Container):
         if importlib.util.find_spec("SimpleITK") is None:
             self.alignment.enabled = False
             self.alignment.tooltip = f"Requires SimpleITK: {how_to_install('medical')}"
-        buttons, aligned = row(self.register, self.remove), Container(widgets=[self.alignment])
+        buttons, aligned = row(self.register, self.remove), Form([self.alignment])
         super().__init__(widgets=[aligned, buttons, self.fit], labels=False)
-        for part in (self, buttons, aligned):
+        for part in (self, buttons):
             part.margins = (0, 0, 0, 0)
 
     def show(

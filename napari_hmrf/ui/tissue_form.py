@@ -157,7 +157,6 @@ class BoundarySection(_PaintedSection[BoundaryTable]):
         )
         super().__init__(choice, [self.confidence], BoundaryTable(view))
         self.landmarks = LandmarkChoice(layers)
-        self.landmarks.margins = (0, 0, 0, 0)
         self.native.layout().addWidget(self.landmarks.native)
         self.confidence.changed.connect(lambda _: self.edited.emit())
 

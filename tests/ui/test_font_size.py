@@ -77,6 +77,9 @@ def assert_all_texts_are_large(dock, tables, rows):
     parts.remove(Screen(dock).button("?"))  # narrow on purpose
     assert len(parts) > 50
     assert not [each.toolTip() for each in parts if each.isVisible() and is_cut(each)]
+    for form in (dock.fields, dock._form.model.in_detail, dock._form.motion.cavity):
+        labels = [each for each in form.native.findChildren(QLabel) if each.isVisible()]
+        assert len({each.width() for each in labels}) == 1, "the labels are not aligned"
     area = dock.native.findChild(QScrollArea)
     assert area.widget().width() <= area.viewport().width(), "the form is wider than the dock"
     save = Screen(dock).button("Save study")

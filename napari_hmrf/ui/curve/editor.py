@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import get_args
 
 import numpy as np
-from magicgui.widgets import Container, LineEdit, PushButton
+from magicgui.widgets import LineEdit, PushButton
 from psygnal import Signal
 
 from napari_hmrf.tissue.stiffness_curve import Between, Point, StiffnessCurve
 from napari_hmrf.ui.curve.plot import CurvePlot
-from napari_hmrf.ui.forms import align_labels, attempt, menu, number_of
+from napari_hmrf.ui.forms import Form, attempt, menu, number_of
 
 _JOINED = {
     (between, scale == "logarithmic"): f"{between}, {scale}"
@@ -19,7 +19,7 @@ _JOINED = {
 }
 
 
-class CurveEditor(Container):
+class CurveEditor(Form):
     """Editor for a stiffness curve; the user drags or types the points.
 
     Parameters
@@ -59,9 +59,7 @@ class CurveEditor(Container):
         self.unit = LineEdit(label="unit", tooltip=tip)
         tip = "Replace the curve with a first guess from the visible slice: brighter is stiffer"
         self.guess = PushButton(text="First guess", tooltip=tip)
-        super().__init__(widgets=[self.points, self.void_below, self.joined, self.unit, self.guess])
-        self.margins = (0, 0, 0, 0)
-        align_labels(self)
+        super().__init__([self.points, self.void_below, self.joined, self.unit, self.guess])
         self.native.layout().insertWidget(0, self.plot)
         self.plot.edited.connect(self._show)
         for field in (self.points, self.void_below, self.unit):

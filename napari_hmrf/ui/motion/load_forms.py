@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
-from magicgui.widgets import ComboBox, Container
+from magicgui.widgets import ComboBox
 
 from napari_hmrf.field.directions import Directions
 from napari_hmrf.tissue.cavity import Cavity
-from napari_hmrf.ui.forms import menu, narrow, number, show_value
+from napari_hmrf.ui.forms import Form, menu, narrow, number, show_value
 
 #: Weight of water per unit volume, in kPa / mm.
 _WATER = 0.00981
@@ -27,7 +27,7 @@ _CONTENTS = {
 Step = tuple[float, ...]
 
 
-class WeightForm(Container):
+class WeightForm(Form):
     """Form for the direction and magnitude of a force per unit volume.
 
     Attributes
@@ -60,8 +60,7 @@ class WeightForm(Container):
             step=0.001,
             value=_WATER,
         )
-        super().__init__(widgets=[self.way, self.amount])
-        self.margins = (0, 0, 0, 0)
+        super().__init__([self.way, self.amount])
         self.way.changed.connect(self._show)
         self.show_place("px", self._ways, "")
 
@@ -100,7 +99,7 @@ class WeightForm(Container):
         self.amount.visible = bool(self.way.value)
 
 
-class CavityForm(Container):
+class CavityForm(Form):
     """Form for the pressure and the fluid in a cavity.
 
     Attributes
@@ -149,8 +148,7 @@ class CavityForm(Container):
             step=5.0,
             value=_PER_CENT,
         )
-        super().__init__(widgets=[self.contents, self.pressure, self.fluid, self.level])
-        self.margins = (0, 0, 0, 0)
+        super().__init__([self.contents, self.pressure, self.fluid, self.level])
         self.contents.changed.connect(self._show)
         self.show_place("px", "")
 

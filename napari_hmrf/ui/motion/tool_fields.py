@@ -6,14 +6,13 @@ import math
 from functools import partial
 from typing import Any, cast
 
-from magicgui.widgets import ComboBox, Container, Widget
+from magicgui.widgets import ComboBox, Widget
 
 from napari_hmrf.field.directions import Directions
 from napari_hmrf.tissue.boundary_rules import Material, stiffness_in_words
 from napari_hmrf.tissue.drawing.marks import Point
 from napari_hmrf.tissue.material_presets import PLAIN, PRESETS, Palette, Preset
-from napari_hmrf.ui.font_size import LabelAligner
-from napari_hmrf.ui.forms import length, menu, narrow, share
+from napari_hmrf.ui.forms import Form, length, menu, narrow, share
 from napari_hmrf.ui.motion.tool import Tool, ToolSettings
 from napari_hmrf.ui.motion.tools import BY_NAME
 
@@ -40,7 +39,7 @@ _ATTRIBUTES = {"stroke_confidence": "confidence", "material": "label"}
 _STEPS = ("by_row", "by_col")
 
 
-class ToolFields(Container):
+class ToolFields(Form):
     """Settings of the tools, for new marks and for the selected mark.
 
     Attributes
@@ -112,9 +111,7 @@ class ToolFields(Container):
         fields = {name: each for name, each in vars(self).items() if isinstance(each, Widget)}
         for name, field in fields.items():
             field.name = name
-        super().__init__(widgets=[*fields.values()])
-        self.margins = (0, 0, 0, 0)
-        LabelAligner(self.native)
+        super().__init__([*fields.values()])
         self._tool = BY_NAME["pull"]
         self._labels = {field: str(field.label) for field in lengths}
         self._about = {field: str(field.tooltip) for field in lengths}

@@ -10,7 +10,7 @@ from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QProxyStyle, QPushButton, QSlider, QStyle
 
 from napari_hmrf.layers.field_layer import holds_field
-from napari_hmrf.ui.forms import FixedText, Prose, narrow, row
+from napari_hmrf.ui.forms import FixedText, Form, Prose, narrow, row
 from napari_hmrf.ui.layer_choice import LayerChoice, is_picture
 from napari_hmrf.ui.registration_form import RegistrationForm
 from napari_hmrf.ui.result.result_messages import NOTHING, OVERLAY_TIP, overlay_choices
@@ -125,12 +125,12 @@ class ResultForm(Container):
             widgets=[self.second, self.registration, self.registration.description, *compared]
         )
         slider = Container(widgets=[self.slider], labels=False)
-        top, overlay = row(self.play, slider, self.before), Container(widgets=[self.overlay])
+        top, overlay = row(self.play, slider, self.before), Form([self.overlay])
         texts = Container(widgets=[self.how_far, self.landmarks], labels=False)
         texts.native.layout().setSpacing(0)
         super().__init__(widgets=[top, overlay, texts], labels=False)
         self.native.layout().setSpacing(2)
-        for part in (slider, top, overlay, texts):
+        for part in (slider, top, texts):
             part.margins = (0, 0, 0, 0)
         for text in (self.how_far, self.landmarks):
             text.native.setContentsMargins(4, 0, 4, 0)
