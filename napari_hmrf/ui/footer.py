@@ -98,10 +98,10 @@ class Footer(QWidget):
         self.chip.setStyleSheet(_CHIP)
         self.chip.hide()
         self.other.hide()
-        self._status.native.setContentsMargins(4, 0, 4, 0)
+        self._status.setContentsMargins(4, 0, 4, 0)
         for each in self._rows:
             each.margins = (2, 0, 2, 0)
-        below = (self._status.native, *(each.native for each in self._rows[:-1]))
+        below = (self._status, *(each.native for each in self._rows[:-1]))
         for part in (result.native, self._warnings(), *below):
             layout.addWidget(part)
         self.help.changed.connect(self._show_help)
@@ -144,7 +144,7 @@ class Footer(QWidget):
 
     def explain(self, technical: str) -> None:
         """Show technical details below the status in its tooltip."""
-        self._status.tooltip = f"{self._status.value}\n{technical}"
+        self._status.setToolTip(f"{self._status.value}\n{technical}")
 
     def warn(self, sentences: str, short: str = "") -> None:
         """Show a warning about the visible tissue with a short label; "" hides it."""

@@ -15,6 +15,7 @@ from qtpy.QtGui import QKeySequence, QPainter, QTextLayout
 from qtpy.QtWidgets import (
     QAbstractSpinBox,
     QComboBox,
+    QLabel,
     QMenu,
     QPushButton,
     QSizePolicy,
@@ -180,8 +181,11 @@ class _FitHeight(QObject):
         return False
 
 
-class FixedText(Label):
+class FixedText(QLabel):
     """Label of a fixed height; a text that does not fit ends in "more", which shows all of it.
+
+    The first lines are painted. The text of the label remains complete, and its tooltip has all of
+    it.
 
     Parameters
     ----------
@@ -191,62 +195,43 @@ class FixedText(Label):
 
     def __init__(self, lines: int = 1) -> None:
         super().__init__()
-        self.native.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-        self._painter = _ElideLines(self.native)
+        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self.limit(lines)
 
     def limit(self, lines: int) -> None:
         """Set the number of lines."""
-        self._painter.limit(lines)
+        self._count = lines
+        self._fit()
+
+    @property
+    def value(self) -> str:
+        """The text."""
+        text: str = self.text()
+        return text
 
     @property
     def is_elided(self) -> bool:
         """True if a part of the text is not visible."""
-        return self._painter.is_elided
+        return self._lines()[1]
 
     def show_text(self, sentence: str, details: str = "") -> None:
         """Show a text, with the text or its details in the tooltip."""
-        self.value = sentence
-        self.tooltip = details or sentence
-
-
-class _ElideLines(QObject):
-    """Event filter that paints the first lines of a label's text, and shows all of it on a click.
-
-    An underlined word at the end of the last line shows that there is more text. The text of the
-    label remains complete.
-    """
-
-    def __init__(self, words: Any) -> None:
-        super().__init__(words)
-        self._words, self._count = words, 1
-        words.installEventFilter(self)
-
-    def limit(self, lines: int) -> None:
-        self._count = lines
-        self._fit()
+        self.setText(sentence)
+        self.setToolTip(details or sentence)
 
     def _fit(self) -> None:
-        words = self._words
-        frame = words.contentsMargins()
+        frame = self.contentsMargins()
         # Two texts of one line are as high as a text of two lines.
-        line = words.fontMetrics().lineSpacing() + frame.top() + frame.bottom()
-        height = self._count * line
-        if words.maximumHeight() != height:
-            words.setFixedHeight(height)
-        words.update()
-
-    @property
-    def is_elided(self) -> bool:
-        return self._lines()[1]
+        line = self.fontMetrics().lineSpacing() + frame.top() + frame.bottom()
+        self.setFixedHeight(self._count * line)
 
     def _lines(self) -> tuple[list[str], bool]:
         """Return the visible lines, and whether the last line ends in dots before more text."""
-        words, text = self._words, self._words.text().replace("\n", "\u2028")
-        width, metrics = words.contentsRect().width(), words.fontMetrics()
+        text = self.text().replace("\n", "\u2028")
+        width, metrics = self.contentsRect().width(), self.fontMetrics()
         lines: list[str] = []
         is_elided = False
-        layout = QTextLayout(text, words.font())
+        layout = QTextLayout(text, self.font())
         layout.beginLayout()
         while (line := layout.createLine()).isValid():
             line.setLineWidth(max(width, 1))
@@ -262,38 +247,39 @@ class _ElideLines(QObject):
         layout.endLayout()
         return lines, is_elided
 
-    def _paint(self) -> None:
-        words, (lines, is_elided) = self._words, self._lines()
-        painter, area, metrics = QPainter(words), words.contentsRect(), words.fontMetrics()
+    def paintEvent(self, event: Any) -> None:
+        """Paint the lines; an underlined word at their end shows that there is more text."""
+        lines, is_elided = self._lines()
+        painter, area, metrics = QPainter(self), self.contentsRect(), self.fontMetrics()
 
         def draw(text: str, left: int, number: int) -> None:
             place = area.adjusted(left, number * metrics.lineSpacing(), 0, 0)
-            words.style().drawItemText(
-                painter, place, 0, words.palette(), True, text, words.foregroundRole()
+            self.style().drawItemText(
+                painter, place, 0, self.palette(), True, text, self.foregroundRole()
             )
 
         for number, line in enumerate(lines):
             draw(line, 0, number)
         if is_elided:
-            font = words.font()
+            font = self.font()
             font.setUnderline(True)
             painter.setFont(font)
             draw(_MORE, area.width() - metrics.horizontalAdvance(_MORE), len(lines) - 1)
         painter.end()
         hand, arrow = Qt.CursorShape.PointingHandCursor, Qt.CursorShape.ArrowCursor
-        if words.cursor().shape() != (cursor := hand if is_elided else arrow):
-            words.setCursor(cursor)
+        if self.cursor().shape() != (cursor := hand if is_elided else arrow):
+            self.setCursor(cursor)
 
-    def eventFilter(self, watched: Any, event: Any) -> bool:
-        kind, words = event.type(), self._words
-        if kind in (QEvent.Type.FontChange, QEvent.Type.StyleChange, QEvent.Type.Show):
-            self._fit()  # a style sheet can change the font without another event than `Show`
-        elif kind == QEvent.Type.MouseButtonRelease and words.toolTip():
-            QWhatsThis.showText(event.globalPosition().toPoint(), words.toolTip(), words)
-        elif kind == QEvent.Type.Paint:
-            self._paint()
-            return True
-        return False
+    def mouseReleaseEvent(self, event: Any) -> None:
+        """Show all of the text."""
+        if self.toolTip():
+            QWhatsThis.showText(event.globalPosition().toPoint(), self.toolTip(), self)
+
+    def event(self, event: Any) -> bool:
+        """Fit the height to the font, which a style sheet can change with no event but `Show`."""
+        if event.type() in (QEvent.Type.FontChange, QEvent.Type.StyleChange, QEvent.Type.Show):
+            self._fit()
+        return bool(super().event(event))
 
 
 class ElidedButton(QPushButton):

@@ -117,7 +117,7 @@ def test_a_long_status_or_a_solve_moves_nothing_and_a_click_shows_all_of_it(
     at_rest(thread=False)
     before, status = places(), footer._status
     assert not status.is_elided
-    assert status.native.cursor().shape() == Qt.CursorShape.ArrowCursor
+    assert status.cursor().shape() == Qt.CursorShape.ArrowCursor
     with long_work():
         found.deform()
         at_rest(thread=False)
@@ -131,13 +131,13 @@ def test_a_long_status_or_a_solve_moves_nothing_and_a_click_shows_all_of_it(
     found._form.result.show_landmarks("Landmarks: 9.27 px apart before, 0.1 now")
     at_rest(thread=False)
     assert (places(), status.is_elided) == (before, True)
-    assert status.native.cursor().shape() == Qt.CursorShape.PointingHandCursor
-    QTest.mouseClick(status.native, Qt.MouseButton.LeftButton)
+    assert status.cursor().shape() == Qt.CursorShape.PointingHandCursor
+    QTest.mouseClick(status, Qt.MouseButton.LeftButton)
     shown = [each for each in QApplication.topLevelWidgets() if each.inherits("QWhatsThat")]
     assert [each.isVisible() for each in shown] == [True]
-    assert status.native.toolTip() == words
+    assert status.toolTip() == words
     footer.explain("sweep 3 of 70")
-    assert status.native.toolTip() == f"{words}\nsweep 3 of 70"
+    assert status.toolTip() == f"{words}\nsweep 3 of 70"
     QTest.keyClick(shown[0], Qt.Key.Key_Escape)
 
 
@@ -155,9 +155,9 @@ def test_the_dock_fits_on_a_small_screen_without_cut_texts(
         found.tool = name
         at_rest(thread=False)
         fields = [getattr(found.fields, each) for each in BY_NAME[name].fields]
-        strip = [result.play, result.slider, result.before, result.overlay, result.how_far]
+        strip = [result.play, result.slider, result.before, result.overlay]
         strip += [footer.undo, footer.redo, footer.live, footer.reset, result.keep]
-        shown = [each.native for each in (form.image, *fields, *strip)]
+        shown = [each.native for each in (form.image, *fields, *strip)] + [result.how_far]
         titles = [each for each in form.sections.values() if each.isVisible() and name == "pull"]
         for part in (*form.motion.tools.values(), *shown, *titles):
             assert part.visibleRegion().boundingRect() == part.rect(), (name, part)

@@ -7,7 +7,7 @@ from typing import Any
 
 from magicgui.widgets import ComboBox, Container, PushButton, Slider
 from qtpy.QtCore import Qt
-from qtpy.QtWidgets import QProxyStyle, QPushButton, QSlider, QStyle
+from qtpy.QtWidgets import QProxyStyle, QPushButton, QSlider, QStyle, QVBoxLayout
 
 from napari_hmrf.layers.field_layer import holds_field
 from napari_hmrf.ui.forms import FixedText, Form, Prose, narrow, row
@@ -126,20 +126,22 @@ class ResultForm(Container):
         )
         slider = Container(widgets=[self.slider], labels=False)
         top, overlay = row(self.play, slider, self.before), Form([self.overlay])
-        texts = Container(widgets=[self.how_far, self.landmarks], labels=False)
-        texts.native.layout().setSpacing(0)
-        super().__init__(widgets=[top, overlay, texts], labels=False)
-        self.native.layout().setSpacing(2)
-        for part in (slider, top, texts):
+        super().__init__(widgets=[top, overlay], labels=False)
+        for part in (slider, top):
             part.margins = (0, 0, 0, 0)
+        texts, layout = QVBoxLayout(), self.native.layout()
+        texts.setSpacing(0)
+        layout.setSpacing(2)
+        layout.addLayout(texts)
         for text in (self.how_far, self.landmarks):
-            text.native.setContentsMargins(4, 0, 4, 0)
+            text.setContentsMargins(4, 0, 4, 0)
+            texts.addWidget(text)
         self.show_landmarks("")
 
     def show_landmarks(self, text: str) -> None:
         """Show the distances of the landmarks in the last line; "" gives the line back."""
         self.landmarks.show_text(text)
-        self.landmarks.visible = bool(text)
+        self.landmarks.setVisible(bool(text))
         self.how_far.limit(_LINES - bool(text))
 
     def offer(self, arrows: Any) -> None:

@@ -602,7 +602,7 @@ def test_the_status_bar_is_not_changed_without_a_pointer_on_the_canvas(
 def test_a_status_of_any_length_has_two_lines_and_its_tooltip_has_all_of_it(pointer_and_dock):
     _, dock = pointer_and_dock
     footer = dock._form.footer
-    label = footer._status.native
+    label = footer._status
     for count in (1, 40, 5):
         footer.show_status("\n".join(["word"] * count))
         assert round(label.height() / label.fontMetrics().lineSpacing()) == 2
