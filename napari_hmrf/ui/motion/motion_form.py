@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from magicgui.widgets import CheckBox, Container, PushButton
 from psygnal import Signal
 from qtpy.QtCore import QSize, Qt
 from qtpy.QtGui import QIcon
-from qtpy.QtWidgets import QGridLayout, QSizePolicy, QToolButton
+from qtpy.QtWidgets import QHBoxLayout, QSizePolicy, QToolButton, QVBoxLayout
 
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.study.session import ImageChoice
@@ -25,14 +26,6 @@ from napari_hmrf.ui.tissue_form import BoundarySection
 
 #: Number of tool buttons in each row; the buttons of the first row are larger.
 _ROWS = 4, 3, 3
-#: Number of columns of the grid of buttons, which the number of buttons in each row divides.
-_COLUMNS = 12
-#: Place of each button in the grid: row, column, and number of rows and columns.
-_PLACES = [
-    (row, number * _COLUMNS // across, 1, _COLUMNS // across)
-    for row, across in enumerate(_ROWS)
-    for number in range(across)
-]
 #: Sizes of the icons in the first row and in the other rows, in pixels.
 _ICONS = QSize(20, 20), QSize(12, 12)
 #: Style of the buttons on light and dark themes; napari's own style does not show a pressed state.
@@ -102,14 +95,16 @@ class MotionForm(Container):
         super().__init__(widgets=[self.fields, drawn], labels=False)
         for container in (drawn, self.boundary, self.switches):
             container.margins = (0, 0, 0, 0)
-        grid = QGridLayout()
-        grid.setSpacing(2)
-        for (name, button), place in zip(self.tools.items(), _PLACES, strict=True):
+        for name, button in self.tools.items():
             button.clicked.connect(partial(self.picked.emit, name))
-            grid.addWidget(button, *place)
-        for column in range(_COLUMNS):
-            grid.setColumnStretch(column, 1)
-        self.native.layout().insertLayout(0, grid)
+        buttons, rows = iter(self.tools.values()), QVBoxLayout()
+        rows.setSpacing(2)
+        for count in _ROWS:
+            line = QHBoxLayout()
+            rows.addLayout(line)
+            for button in islice(buttons, count):
+                line.addWidget(button, 1)
+        self.native.layout().insertLayout(0, rows)
 
     def show_tool(self, name: str) -> None:
         """Highlight the button of the tool in use; "" if the mouse does not draw."""
