@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -78,6 +78,20 @@ def show_value(field: Any, value: Any) -> None:
     elif isinstance(field, RangedWidget):
         field.range = min(field.min, value), max(field.max, value)
     field.value = value
+
+
+def show_quietly(field: Any, value: Any) -> None:
+    """Show a value in a field, without an event."""
+    with field.changed.blocked():
+        field.value = value
+
+
+def show_choices(menu: ComboBox, choices: Iterable[tuple[str, Any]], value: Any) -> None:
+    """Show other choices in a menu, and choose one of them, without an event."""
+    with menu.changed.blocked():
+        menu.choices = []  # otherwise magicgui would move the remaining choices to the front
+        menu.choices = [*choices]
+        menu.value = value
 
 
 def menu(label: str, words: Mapping[Any, str], tooltip: str, **options: Any) -> ComboBox:

@@ -10,7 +10,7 @@ from psygnal import Signal
 
 from napari_hmrf.tissue.stiffness_curve import Between, Point, StiffnessCurve
 from napari_hmrf.ui.curve.plot import CurvePlot
-from napari_hmrf.ui.forms import Form, attempt, menu, number_of
+from napari_hmrf.ui.forms import Form, attempt, menu, number_of, show_quietly
 
 _JOINED = {
     (between, scale == "logarithmic"): f"{between}, {scale}"
@@ -84,8 +84,7 @@ class CurveEditor(Form):
         self.points.value = "; ".join(pairs)
         self.void_below.value = "" if below is None else _digits(below)
         self.unit.value = curve.unit
-        with self.joined.changed.blocked():
-            self.joined.value = curve.between, curve.logarithmic
+        show_quietly(self.joined, (curve.between, curve.logarithmic))
 
     def _on_field(self) -> None:
         attempt(self._read_fields, self.refusal.emit)

@@ -12,7 +12,7 @@ from napari_hmrf.field.directions import Directions
 from napari_hmrf.tissue.boundary_rules import Material, stiffness_in_words
 from napari_hmrf.tissue.drawing.marks import Point
 from napari_hmrf.tissue.material_presets import PLAIN, PRESETS, Palette, Preset
-from napari_hmrf.ui.forms import Form, length, menu, narrow, share
+from napari_hmrf.ui.forms import Form, length, menu, narrow, share, show_choices, show_quietly
 from napari_hmrf.ui.motion.tool import Tool, ToolSettings
 from napari_hmrf.ui.motion.tools import BY_NAME
 
@@ -180,8 +180,7 @@ class ToolFields(Form):
             if name == "confidence":
                 value = max(value, _LEAST_CONFIDENCE)
             if name != "material" or value in field.choices:
-                with field.changed.blocked():
-                    field.value = value
+                show_quietly(field, value)
         self._describe_patch()
 
     @property
@@ -226,8 +225,7 @@ class ToolFields(Form):
             field.native.setDecimals(decimals)
             field.step = float(f"{2 * smallest * pixels:.1g}")
             if not least <= field.value <= most:
-                with field.changed.blocked():
-                    field.value = min(max(usual, least), most)
+                show_quietly(field, min(max(usual, least), most))
         self._describe_ranges()
 
     def _describe_ranges(self) -> None:
@@ -261,8 +259,7 @@ class ToolFields(Form):
         least, largest = self._ranges[field]
         nearest = min(max(value, least), largest)
         if nearest != value:
-            with field.changed.blocked():
-                field.value = nearest
+            show_quietly(field, nearest)
             unit, name = self._unit, self._labels[field]
             self._refusal = (
                 f"'{name}' must be from {least:g} to {largest:g} {unit} in this image; it was set "
@@ -293,12 +290,8 @@ class ToolFields(Form):
         self.show_for(self._tool)
         if turned:
             for field, length in zip(steps, ways.to_display(by)[-2:], strict=True):
-                with field.changed.blocked():
-                    field.value = length
-            before = self.components.value
-            with self.components.changed.blocked():
-                self.components.choices = _components(ways)
-                self.components.value = before
+                show_quietly(field, length)
+            show_choices(self.components, _components(ways), self.components.value)
 
     def offer_presets(self, usual: Preset, chosen: Preset | None = None) -> None:
         """Offer all presets, and choose one.
@@ -312,25 +305,18 @@ class ToolFields(Form):
             default, `usual` is chosen.
         """
         presets = dict.fromkeys((usual, *PRESETS, PLAIN, chosen or usual))
-        with self.preset.changed.blocked():
-            self.preset.choices = []  # otherwise magicgui would keep the earlier order
-            self.preset.choices = [(each.name, each) for each in presets]
-            self.preset.value = chosen or usual
+        choices = [(each.name, each) for each in presets]
+        show_choices(self.preset, choices, chosen or usual)
 
     def offer(self, palette: Palette) -> None:
         """Offer tissues to paint, and keep the chosen tissue if the palette contains it."""
         rows = palette.materials
         choices = [(_in_words(row, palette.unit), row.label) for row in rows]
         labels = [label for _, label in choices]
-        before = self.material.value
-        with self.material.changed.blocked():
-            # Otherwise magicgui would move the remaining choices to the front.
-            self.material.choices = []
-            self.material.choices = choices
-            # The default is the last deformable tissue, because tables begin with common tissues.
-            solid = [row.label for row in rows if row.is_deformable]
-            usual = (solid or labels)[-1]
-            self.material.value = before if before in labels else usual
+        # The default is the last deformable tissue, because tables begin with common tissues.
+        solid = [row.label for row in rows if row.is_deformable]
+        before, usual = self.material.value, (solid or labels)[-1]
+        show_choices(self.material, choices, before if before in labels else usual)
         self._own_table = palette.is_table
         self.show_for(self._tool)
 
