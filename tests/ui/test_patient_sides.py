@@ -149,8 +149,8 @@ def test_fields_and_tables_use_the_anatomical_letters_of_the_status_bar(frame, t
     assert words[1:] == ["A-P only (rows)", "R-L only (columns)"]
     table = dock._form.motion.boundary.table
     place = frame_of(image).placement()
-    table.layer = viewer.add_labels(np.zeros(image.data.shape, int), name="walls", **place)
-    table.rows = (BoundaryRule(1, "move"),)
+    dock.boundary = viewer.add_labels(np.zeros(image.data.shape, int), name="walls", **place)
+    dock.rules = (BoundaryRule(1, "move"),)
     assert table_head(table, 3).startswith("to P")
     assert table_head(table, 4).startswith("to L")
     said = " ".join([fields.by_row.label, fields.by_col.label, *words, fields.words])
