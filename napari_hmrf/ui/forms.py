@@ -154,21 +154,15 @@ class Form(Container):
 
 
 class Prose(Label):
-    """Label that wraps its text at the width of the parent and is as high as the text.
+    """Label that wraps its text at the width of the parent and is as high as the text."""
 
-    Parameters
-    ----------
-    lines : int, optional
-        Largest number of visible lines.
-    """
-
-    def __init__(self, lines: int = 1000) -> None:
+    def __init__(self) -> None:
         super().__init__()
         words = self.native
         words.setWordWrap(True)
         words.setAlignment(Qt.AlignmentFlag.AlignTop)
         words.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-        self._fit = _FitHeight(words, lines)
+        self._fit = _FitHeight(words)
         words.installEventFilter(self._fit)
 
     def show_text(self, sentence: str) -> None:
@@ -180,14 +174,14 @@ class Prose(Label):
 class _FitHeight(QObject):
     """Event filter that fits the height of a label to its text, even inside a scroll area."""
 
-    def __init__(self, words: Any, lines: int) -> None:
+    def __init__(self, words: Any) -> None:
         super().__init__(words)
-        self._words, self._lines = words, lines
+        self._words = words
 
     def fit(self) -> None:
-        words, most = self._words, self._lines * self._words.fontMetrics().lineSpacing()
+        words = self._words
         words.setMinimumHeight(0)  # otherwise `heightForWidth` is at least the current height
-        words.setFixedHeight(min(max(0, words.heightForWidth(words.width())), most))  # -1: no text
+        words.setFixedHeight(max(0, words.heightForWidth(words.width())))  # -1: no text
 
     def eventFilter(self, watched: Any, event: Any) -> bool:
         if event.type() in (QEvent.Type.Resize, QEvent.Type.FontChange, QEvent.Type.StyleChange):

@@ -98,10 +98,8 @@ class RegistrationForm(Container):
             True while a registration is running.
         """
         self.register.text = "Register again" if measured is not None else "Register"
-        self.register.enabled = bool(second_name) and is_elastic and not is_busy
-        self.register.tooltip = _ABOUT if is_elastic else _ELASTIC
-        if not second_name:
-            self.register.tooltip = _CHOOSE
+        conditions = (second_name, _CHOOSE), (is_elastic, _ELASTIC), (not is_busy, _ABOUT)
+        _offer(self.register, _ABOUT, *conditions)
         self.is_registered = measured is not None
         self.remove.enabled = self.is_registered and not is_busy
         self.description.show_text(_described(measured))
@@ -119,10 +117,15 @@ class RegistrationForm(Container):
         is_elastic : bool
             True if the model supports a fit.
         """
-        self.fit.enabled = has_second and has_tissues and is_elastic
-        reasons = ((has_second, _CHOOSE), (has_tissues, _TISSUES), (is_elastic, _ELASTIC_FIT))
-        missing = [reason for is_met, reason in reasons if not is_met]
-        self.fit.tooltip = missing[0] if missing else _ABOUT_FIT
+        conditions = (has_second, _CHOOSE), (has_tissues, _TISSUES), (is_elastic, _ELASTIC_FIT)
+        _offer(self.fit, _ABOUT_FIT, *conditions)
+
+
+def _offer(button: PushButton, about: str, *conditions: tuple[object, str]) -> None:
+    """Enable a button if all conditions are met; otherwise, its tooltip is the first reason."""
+    missing = [reason for is_met, reason in conditions if not is_met]
+    button.enabled = not missing
+    button.tooltip = missing[0] if missing else about
 
 
 def _described(measured: MeasuredMotion | None) -> str:

@@ -214,9 +214,8 @@ class BoundaryTable(LabelTable[BoundaryRule]):
 
     def show_place(self, unit: str, ways: Directions, stiffness: str) -> None:
         """Show the units of amounts and forces, and the directions of rows and columns."""
-        if (place := (unit, ways, stiffness)) != self._place:
-            self._place = place
-            self._fill()
+        self._place = unit, ways, stiffness
+        self._fill()
 
     def default(self, label: int) -> BoundaryRule:
         """Return a rule that holds the boundary in place."""
