@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import logging
 import threading
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -98,6 +99,9 @@ class Engine:
         self._lines: Lines | None = None
         self._pictures = MovedPictures()
         self._results = StudyResults()
+        # Results from files that are not in `_results` yet. A study may be solved before a job that
+        # is submitted before it, because it replaces a pending study.
+        self._given: deque[tuple[Study, Solution]] = deque()
 
     # Methods for any thread
 
@@ -150,7 +154,7 @@ class Engine:
 
     def deliver_again(self, study: Study, solution: Solution) -> None:
         """Deliver a solution from a file when its study is submitted, if the inputs are equal."""
-        compute_thread.submit(partial(self._results.add, study, solution))
+        self._given.append((study, solution))
 
     def is_current(self, answer: Deformation) -> bool:
         """Return whether a result is the latest and its study has not been cancelled."""
@@ -198,6 +202,8 @@ class Engine:
             raise _StillError
         stated = replace(ground.statement(canvas, drawing), optimizer=study.optimizer)
         self._request = replace(self._request, stated=stated)
+        while self._given:
+            self._results.add(*self._given.popleft())
         known = self._results.find(study) if preview is None else None
         if known is not None and not _is_of(known, stated):
             known = None

@@ -1,5 +1,6 @@
 """Tests of earlier results: a result belongs to one study with its settings."""
 
+import threading
 from dataclasses import replace
 
 import numpy as np
@@ -17,8 +18,11 @@ from napari_hmrf import (
     Tissue,
     solve_study,
 )
+from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.study import study_results
+from napari_hmrf.study.engine import Engine
 from napari_hmrf.study.study_results import StudyResults
+from tests.support.timeouts import LONG
 
 SHAPE = (24, 24)
 
@@ -76,3 +80,22 @@ def test_the_results_that_were_used_last_are_stored_within_a_limit(solution, mon
     assert results.find(studies[0]) is not None
     results.add(studies[2], solution)
     assert [results.find(study) is not None for study in studies] == [True, False, True]
+
+
+def test_a_result_from_a_file_is_delivered_to_a_study_that_replaces_a_pending_study(solution):
+    ready, answers, came = threading.Event(), [], threading.Event()
+
+    def deliver(answer):
+        answers.append(answer)
+        came.set()
+
+    compute_thread.submit(ready.wait)
+    engine = Engine(deliver, "a test")
+    engine.submit(study_with(2.0), "cpu")  # pending: it is replaced below
+    engine.deliver_again(STUDY, solution)
+    engine.submit(STUDY, "cpu")
+    ready.set()
+    assert came.wait(LONG)
+    engine.close()
+    assert [answer.is_earlier for answer in answers] == [True]
+    np.testing.assert_array_equal(answers[0].solution.displacement, solution.displacement)

@@ -1,5 +1,6 @@
 """Tests of the dock with the mouse, as a first-time user would use it."""
 
+import math
 from dataclasses import replace
 from functools import partial
 
@@ -115,8 +116,10 @@ def visible(viewer):
 
 @pytest.mark.parametrize("is_held", [False, True])
 def test_a_drag_before_the_tissue_is_ready_is_applied_when_it_is(
-    open_beside, busy_thread, settle, is_held
+    open_beside, busy_thread, settle, monkeypatch, is_held
 ):
+    # No progress is told instead, however slow the machine is.
+    monkeypatch.setattr("napari_hmrf.ui.solving._PATIENCE", math.inf)
     person, widget = open_beside()
     assert widget.active
     person.drag((10, 40), (11, 42))
