@@ -13,11 +13,17 @@ import numpy.typing as npt
 
 Float64Array = npt.NDArray[np.float64]
 
-#: Largest distance between corresponding corners of grids in the same place, in pixels; not zero,
-#: because positions are rounded in files.
-SAME = 0.05
+#: Largest distance between corresponding corners of grids in the same place, in pixels: sizes of
+#: pixels are rounded in files, which adds up along an axis. A shift by half a pixel, as between
+#: conventions for the first pixel, is larger.
+SAME = 0.25
 #: Largest deviation of the directions of axes at right angles from an orthogonal matrix.
 _ROUNDING = 1e-5
+
+
+def is_orthogonal(matrix: Float64Array) -> bool:
+    """Return whether the columns of a square matrix are unit vectors at right angles."""
+    return bool(np.allclose(matrix @ matrix.T, np.eye(len(matrix)), atol=_ROUNDING))
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,8 +118,7 @@ class Geometry:
     @property
     def has_right_angles(self) -> bool:
         """True if the axes are at right angles."""
-        turn = self.directions
-        return bool(np.allclose(turn @ turn.T, np.eye(self.ndim), atol=_ROUNDING))
+        return is_orthogonal(self.directions)
 
     def to_world(self, pixels: npt.ArrayLike) -> Float64Array:
         """Convert points, shape (..., n), from pixels of the grid to positions."""

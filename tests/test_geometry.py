@@ -76,6 +76,12 @@ def test_grids_are_in_the_same_place_if_their_corners_are(grid):
             affine = grid.affine.copy()
             affine[:, axis] *= 1 + share * SAME / (size - 1)
             assert grid.same_as(Geometry(SHAPE, affine)) == is_same
+    scan, rounded = (
+        Geometry.at_origin((512, 512), (size,) * 2, "millimeter") for size in (0.9765625, 0.977)
+    )
+    assert rounded.same_as(scan)
+    shifted = Geometry.of_itk((512, 512), scan.spacing, (0.5, 0.5), np.eye(2))
+    assert not shifted.same_as(scan)
     cut = Geometry((3, 4, 5), grid.affine)
     assert cut.same_as(grid)
     assert grid.same_as(cut)

@@ -26,7 +26,7 @@ from napari_hmrf.field.displacement_field import DisplacementField
 from napari_hmrf.field.inverse_field import inverse_displacement
 from napari_hmrf.field.units import SAME_SPACING, UNKNOWN_UNITS, has_same_spacing, unit_factor
 from napari_hmrf.field.warp import as_field
-from napari_hmrf.geometry import Geometry
+from napari_hmrf.geometry import Geometry, is_orthogonal
 from napari_hmrf.io.itk_files import (
     ItkImage,
     Unreadable,
@@ -49,8 +49,6 @@ _NOTES, _DESCRIPTION = "ITK_FileNotes", "descrip"
 _NIFTI = (".nii", ".nii.gz")
 #: Suffix of the format without metadata; all tools assume that it contains a backward field.
 _NO_METADATA = ".h5"
-#: Largest deviation of a direction matrix from an orthogonal matrix.
-_ROUNDING = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -380,18 +378,18 @@ def placed(solution: Solution) -> tuple[npt.NDArray[np.floating], Geometry]:
         As for `geometry_of`; or if the frame of the solution is inconsistent with its spacing or
         its unit.
     """
-    place, n = geometry_of(solution), solution.tissue.ndim
-    factors = np.array(place.spacing[-n:]) / solution.spacing
+    geometry, n = geometry_of(solution), solution.tissue.ndim
+    factors = np.array(geometry.spacing[-n:]) / solution.spacing
     is_known = solution.unit not in UNKNOWN_UNITS
     expected = unit_factor(solution.unit, "millimeter") if is_known else factors[0]
     if solution.frame and not np.allclose(factors, expected, rtol=SAME_SPACING, atol=0):
         raise ProblemError(
             "displacement",
             f"has pixels of {grid_in_words(solution.spacing)} {solution.unit}".rstrip()
-            + f", but its place has pixels of {grid_in_words(place.spacing[-n:])} mm. Solve on the "
-            "grid of the image.",
+            + f", but its place has pixels of {grid_in_words(geometry.spacing[-n:])} mm. Solve on "
+            "the grid of the image.",
         )
-    return solution.displacement * factors, place
+    return solution.displacement * factors, geometry
 
 
 def export_field(
@@ -441,11 +439,11 @@ def export_field(
     require_flag("placed", placed)
     if grid is not None:
         require_kind(Grid, "grid", grid, "Grid.from_image(image)")
-    displacement, place = place_solution(solution, grid, placed)
+    displacement, geometry = place_solution(solution, grid, placed)
     return write_field(
         path,
         displacement,
-        **place.as_itk,
+        **geometry.as_itk,
         forward=forward,
         tissue=solution.tissue,
     )
@@ -460,7 +458,7 @@ def _not_a_field(source: Path, error: Unreadable) -> str:
 def place_solution(
     solution: Solution, grid: Grid | None, placed_only: bool
 ) -> tuple[npt.NDArray[np.floating], Geometry]:
-    """Return the displacement of a solution in mm, and the place of the solution or of a grid.
+    """Return the displacement of a solution in mm, and its geometry, or that of a grid.
 
     Parameters
     ----------
@@ -512,9 +510,9 @@ def place_solution(
             "pictures (.png, .tif), which have no position, pass placed=False to write the field "
             "at the origin.",
         )
-    displacement, place = placed(solution)
+    displacement, geometry = placed(solution)
     if solution.frame or solution.unit in UNKNOWN_UNITS:
-        return displacement, place
+        return displacement, geometry
     factor = unit_factor(solution.unit, "millimeter")
     if not np.isfinite(factor):
         raise ProblemError(
@@ -522,7 +520,7 @@ def place_solution(
             f"is in {shown(solution.unit)}, which is not a unit of length. Set the unit of the "
             'study\'s grid to a unit of length, such as "mm".',
         )
-    return displacement * factor, place.scaled(factor)
+    return displacement * factor, geometry.scaled(factor)
 
 
 def _stated_type(metadata: Mapping[str, str]) -> str:
@@ -558,7 +556,7 @@ def check_rotation(direction: npt.ArrayLike, n: int) -> npt.NDArray[np.float64]:
     """Return a direction matrix as an (n, n) array; raise an error if it is not orthogonal."""
     turn = as_numbers("direction", direction).astype(np.float64)
     turn = turn.reshape(n, n) if turn.size == n * n else turn
-    if turn.shape != (n, n) or not np.allclose(turn @ turn.T, np.eye(n), atol=_ROUNDING):
+    if turn.shape != (n, n) or not is_orthogonal(turn):
         raise ProblemError(
             "direction",
             f"is {shown(direction)}. Pass an orthogonal {n} x {n} matrix, with the directions of "

@@ -463,7 +463,7 @@ class ResultLayers:
     paint_hidden : Signal(list)
         Emitted with the painted layers that were hidden for a deformed image.
     before_changed : Signal
-        Emitted when the undeformed image is shown instead of a result, and when it no longer is.
+        Emitted when there is another reason to show an undeformed image, or one less.
     """
 
     changed = Signal(object)

@@ -247,6 +247,7 @@ class Controller:
     def release(self) -> None:
         """Stop responding to edits permanently."""
         self._is_released = True
+        self.session.results.clear()
         self.engine.close()
         self.jobs.release()
 
@@ -270,7 +271,9 @@ class Controller:
         """Make a study current, and select the drawing of its slice."""
         session, place = self.session, study.grid
         is_other_image = source is not session.slice.layer
-        is_other = is_other_image or not session.is_here(study)
+        # The display of this dock may be closed, although another dock has opened the slice.
+        is_open = session.is_here(study) and self.pointer.display.moved is not None
+        is_other = is_other_image or not is_open
         if is_other and self.settling:
             self.cancel()  # the result would belong to another slice or image
         self.pointer.tissue = self.form.tissue.layer

@@ -89,6 +89,8 @@ class Introduction:
             self.end()
 
     def _on_moved(self, moved: Deformation) -> None:
+        if self._sample is None:
+            return
         self._study = self._study or moved.study
         if not moved.study.same_as(self._study):
             self.end()

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, TypeVar
 import psygnal
 from qtpy.QtCore import QCoreApplication, QEvent, QObject, Qt, Signal
 
-from napari_hmrf.errors import Cancelled, in_words
+from napari_hmrf.errors import Cancelled, HmrfError, in_words
 from napari_hmrf.solver.latest_queue import LatestQueue, Turn
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.ui.events import single_shot
@@ -169,7 +169,9 @@ class Jobs:
             except Cancelled:
                 pass
             except Exception as error:  # noqa: BLE001 - every error is reported to the user
-                _log.debug("%s failed", kind, exc_info=True)
+                is_expected = isinstance(error, HmrfError | ValueError)
+                level = logging.DEBUG if is_expected else logging.ERROR
+                _log.log(level, "%s failed", kind, exc_info=True)
                 call = partial(refuse or self._refuse, error)
             self.gui.submit(partial(self._finish, kind, turn, call))
 

@@ -41,6 +41,8 @@ class Registering(PairJob):
 
     def __init__(self, controller: Controller, session: Session) -> None:
         super().__init__(controller, session)
+        # Study that is being registered.
+        self._study: Study | None = None
         self._form.register.changed.connect(self._start)
         self._form.remove.changed.connect(self._remove)
 
@@ -49,6 +51,7 @@ class Registering(PairJob):
         pair = None if self.busy else self._read_pair()
         if pair is None:
             return
+        self._study = pair[0]
         work = partial(
             register_study,
             *pair,
@@ -71,7 +74,7 @@ class Registering(PairJob):
 
     def _follow(self, moved: Deformation) -> None:
         """Show the image as the registration has moved it so far."""
-        if self.busy and self._session.is_here(moved.study):
+        if self.busy and moved.study is self._study and self._session.is_here(moved.study):
             self._controller.pointer.show(moved)
 
     def _store(self, part: Part, second: Any, found: RegisteredStudy) -> None:

@@ -446,8 +446,9 @@ class SoftTissue(DockValues):
 
     def _on_table(self, is_automatic: bool) -> None:
         """Show the effect of a typed value, except while a painted layer is in use."""
-        if not is_automatic and self.image is not None:
-            self._results.show_deformed(self.image, "comparison")
+        image = self.session.slice.layer
+        if not is_automatic and image is not None:
+            self._results.show_deformed(image, "comparison")
 
     def _on_finished(self, outputs: object) -> None:
         """Hide the paint, which would tint the requested result."""
