@@ -135,6 +135,11 @@ def naming(**layers: Any) -> Iterator[None]:
         raise LayerError(layer, error.message) from error
 
 
+def is_expected(error: Exception) -> bool:
+    """Return whether an error is due to the input, rather than to a fault of the program."""
+    return isinstance(error, HmrfError | ValueError)
+
+
 def in_words(error: Exception) -> str:
     """Return the message of an error, with a remedy if it is a system error about a file."""
     if not isinstance(error, OSError) or error.filename is None:

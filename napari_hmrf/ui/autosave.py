@@ -21,7 +21,6 @@ from napari_hmrf.io.study_file import image_named_in
 from napari_hmrf.study.session import Part, Session
 from napari_hmrf.ui.controller import Controller
 from napari_hmrf.ui.events import EventConnections, single_shot
-from napari_hmrf.ui.jobs import GuiThread
 from napari_hmrf.ui.notice import Notice
 from napari_hmrf.ui.remembered_settings import settings
 from napari_hmrf.ui.study_files import StudyFiles
@@ -62,7 +61,6 @@ class Autosave:
         self._connections = EventConnections(
             (self._work.noted, self._on_noted), (files.stored, self.drop)
         )
-        self._gui = GuiThread()
         self._notice = Notice()
         # Reason for each slice that cannot be autosaved.
         self._failures: dict[Part, str] = {}
@@ -90,7 +88,6 @@ class Autosave:
         """Disconnect from edits after the dock was closed or its window was deleted."""
         self._connections.release()
         self._timer.stop()
-        self._gui.release()
 
     def _on_noted(self) -> None:
         self._timer.start()
@@ -128,7 +125,7 @@ class Autosave:
         except (OSError, TypeError, ValueError) as error:
             _log.exception("the recovery file of unsaved work could not be written")
             failure = error
-        self._gui.submit(partial(self._on_written, here, failure))
+        self._controller.jobs.gui.submit(partial(self._on_written, here, failure))
 
     def _on_written(self, here: Part, failure: Exception | None) -> None:
         is_saved = here not in self._work.slices

@@ -11,7 +11,7 @@ from napari.utils.notifications import show_error, show_warning
 from psygnal import Signal
 from qtpy.QtWidgets import QWidget
 
-from napari_hmrf.errors import HmrfError
+from napari_hmrf.errors import is_expected
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.read import NoImageError, StudyReader
@@ -220,7 +220,7 @@ class Controller:
             reason = messages.in_short(error)
         self.refusal.emit(reason)
         # A warning disappears by itself; an error would remain beside the next valid result.
-        show = show_warning if isinstance(error, HmrfError | ValueError) else show_error
+        show = show_warning if is_expected(error) else show_error
         show(reason)
 
     def show_again(self) -> None:
@@ -440,5 +440,5 @@ class Controller:
 
 def _log_unexpected(error: Exception) -> None:
     """Log a read error that is not caused by the user's input."""
-    if not isinstance(error, HmrfError | ValueError):
+    if not is_expected(error):
         _log.error("the current choices could not be read", exc_info=error)

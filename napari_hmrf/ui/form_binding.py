@@ -30,6 +30,7 @@ from napari_hmrf.tissue.row_table import change
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.events import EventConnections
+from napari_hmrf.ui.forms import show_quietly
 from napari_hmrf.ui.messages import EDGE_GOES, NOT_CHOSEN, WELCOME
 
 
@@ -209,9 +210,7 @@ class FormBinding:
 
     def _release_edge(self) -> None:
         """Release the edge without an event, because a boundary is being chosen."""
-        edge = self.fields["hold_edge"]
-        with edge.changed.blocked():
-            edge.value = False
+        show_quietly(self.fields["hold_edge"], False)
 
     @property
     def _drawn_on(self) -> list[Any]:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, TypeVar
 import psygnal
 from qtpy.QtCore import QCoreApplication, QEvent, QObject, Qt, Signal
 
-from napari_hmrf.errors import Cancelled, HmrfError, in_words
+from napari_hmrf.errors import Cancelled, in_words, is_expected
 from napari_hmrf.solver.latest_queue import LatestQueue, Turn
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.ui.events import single_shot
@@ -169,8 +169,7 @@ class Jobs:
             except Cancelled:
                 pass
             except Exception as error:  # noqa: BLE001 - every error is reported to the user
-                is_expected = isinstance(error, HmrfError | ValueError)
-                level = logging.DEBUG if is_expected else logging.ERROR
+                level = logging.DEBUG if is_expected(error) else logging.ERROR
                 _log.log(level, "%s failed", kind, exc_info=True)
                 call = partial(refuse or self._refuse, error)
             self.gui.submit(partial(self._finish, kind, turn, call))

@@ -109,8 +109,6 @@ class ViewerWatch:
         usual, (smallest, largest) = (usual_radius(*size), usual_step(*size)), length_range(*size)
         self._form.motion.fields.limit(smallest, largest, *usual, largest_spread(*size))
         self._form.motion.boundary.table.largest = largest
-        if (image := self._session.slice.layer) is not None:
-            self._results.show_deformed(image, "other image")
         self._show_paint()
         if not self._has_started:
             self._has_started = True

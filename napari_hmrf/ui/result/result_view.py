@@ -22,7 +22,7 @@ from napari_hmrf.posterior import Uncertainty
 from napari_hmrf.study.session import Session
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.events import EventConnections, single_shot
-from napari_hmrf.ui.forms import attempt
+from napari_hmrf.ui.forms import attempt, show_quietly
 from napari_hmrf.ui.jobs import Jobs, reason_of
 from napari_hmrf.ui.result import result_messages as words
 from napari_hmrf.ui.result.cursor import UnderCursor
@@ -428,8 +428,7 @@ class ResultView:
         self._set_slider(words.FULL)
 
     def _set_slider(self, percent: int) -> None:
-        with self._form.slider.changed.blocked():
-            self._form.slider.value = percent
+        show_quietly(self._form.slider, percent)
         self._show_distance()
 
     def _show_distance(self, *_: Any) -> None:
