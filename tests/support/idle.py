@@ -56,7 +56,7 @@ class AtRest:
 
         def resting():
             self()
-            return condition()
+            return bool(condition())
 
         self._qtbot.waitUntil(resting, timeout=LONG_MS)
         self()
