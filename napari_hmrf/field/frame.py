@@ -508,20 +508,6 @@ class Frame:
 _PLACES = TypeAdapter(Frame)
 
 
-@dataclass(frozen=True)
-class SlicePlace:
-    """Slice of a layer: its axes, its position along each axis, and its displayed name."""
-
-    plane: tuple[int, ...]
-    index: tuple[int, ...]
-    name: str = field(default="", compare=False)
-
-    @classmethod
-    def of(cls, frame: Frame) -> SlicePlace:
-        """Return the slice that a frame describes."""
-        return cls(frame.plane, frame.index, frame.slice_seen)
-
-
 def _ordered(picture: npt.NDArray[Any], axes: npt.NDArray[np.intp]) -> npt.NDArray[Any]:
     """Return an image with its axes in another order; a colour axis remains last."""
     return picture.transpose(*axes, *range(len(axes), picture.ndim))

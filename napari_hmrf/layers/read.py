@@ -13,7 +13,7 @@ from napari.layers import Labels, Layer, Vectors
 from napari_hmrf.errors import HmrfError, LayerError, naming
 from napari_hmrf.field.brightness import edge_confidence
 from napari_hmrf.field.displacement_field import DisplacementField
-from napari_hmrf.field.frame import Frame, SlicePlace
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.observation import arrow_observation
 from napari_hmrf.layers.arrow_layer import NAME as ARROWS
 from napari_hmrf.layers.field_layer import field_layer, field_of, holds_field
@@ -437,12 +437,12 @@ class StudyReader:
         """
         model = self._session.model
         study = study_from_layers(request, self._copies)
-        place = SlicePlace.of(study.grid.known_place)
+        measured = Part.of_slice("measured", request.grid_layers[0], study.grid.place)
         motion = replace(
             study.motion,
             typical_strain=model.strain,
             drift=model.drift,
-            measured=self._session.get(Part("measured", request.grid_layers[0], place)),
+            measured=self._session.get(measured),
         )
         return replace(study, motion=motion, prior=model.prior, optimizer=model.optimizer)
 
@@ -504,4 +504,4 @@ class StudyReader:
 def _slice_of(request: Request) -> Part:
     """Return the key of the drawing of a request."""
     layer = request.grid_layers[0]
-    return Part("drawing", layer, SlicePlace.of(frame_of(layer, request.view)))
+    return Part.of_slice("drawing", layer, frame_of(layer, request.view))

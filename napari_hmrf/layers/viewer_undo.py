@@ -181,18 +181,17 @@ class ViewerUndo:
             If True, also change the displayed axes. If False, do nothing if other axes are
             displayed.
         """
-        if part.place is None or len(part.place.plane) == 3:  # a volume is visible in every slice
+        if len(part.plane) != 2:  # a volume is visible in every slice
             return
-        plane, index = part.place.plane, part.place.index
         dims, layer = self._viewer.dims, part.layer
         missing = dims.ndim - layer.ndim
-        axes = tuple(axis + missing for axis in plane)
+        axes = tuple(axis + missing for axis in part.plane)
         if dims.ndisplay != 2 or axes != View.of(dims).displayed:
             if not turn:
                 return
             dims.ndisplay = 2
             dims.order = (*(axis for axis in range(dims.ndim) if axis not in axes), *axes)
-        there = View.of(dims).point_at(layer, index)
+        there = View.of(dims).point_at(layer, part.index)
         dims.set_point([*there], [*there.values()])
 
     def _on_changed(self, part: Part, value: object) -> None:

@@ -13,11 +13,12 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from psygnal import Signal
 
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.solver.model_names import ModelName
 from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import Elastic, Prior
@@ -69,7 +70,8 @@ _STEP_NAMES = {
 }
 
 
-class Part(NamedTuple):
+@dataclass(frozen=True)
+class Part:
     """Key of a part of the studies; a part is edited as a whole.
 
     Attributes
@@ -78,18 +80,29 @@ class Part(NamedTuple):
     layer : hashable
         Owner of the part: an image, a Labels layer, or None. The parts of a removed layer are
         dropped.
-    place : hashable
-        Slice of a drawing or of measured motion; None for other parts.
+    plane, index : tuple of int
+        Slice of a drawing or of measured motion, as in its `Frame`; empty for other parts.
+    slice_name : str
+        Displayed name of the slice.
     """
 
     kind: Kind
     layer: Any
-    place: Any = None
+    plane: tuple[int, ...] = ()
+    index: tuple[int, ...] = ()
+    slice_name: str = field(default="", compare=False)
+
+    @classmethod
+    def of_slice(cls, kind: Kind, layer: Any, frame: Frame | None) -> Part:
+        """Return the key of a part that belongs to a slice of a layer, or to a volume."""
+        if frame is None:
+            return cls(kind, layer)
+        return cls(kind, layer, frame.plane, frame.index, frame.slice_seen)
 
     @property
     def title(self) -> str:
         """Name of the layer, with the slice if the layer has several slices."""
-        return f"{self.layer.name} {'' if self.place is None else self.place.name}".strip()
+        return f"{self.layer.name} {self.slice_name}".strip()
 
 
 @dataclass(frozen=True)
@@ -332,11 +345,11 @@ class Session(EditHistory):
             self.image_is_gone = is_gone
             self.selected.emit(image, before)
 
-    def select_slice(self, image: Hashable | None, place: Hashable = None) -> None:
+    def select_slice(self, image: Hashable | None, frame: Frame | None = None) -> None:
         """End any drag in the previous slice, then select the drawing of a slice."""
         if self.drawing_in_progress:
             self.end()
-        self.slice = Part("drawing", image, place)
+        self.slice = Part.of_slice("drawing", image, frame)
         self.setdefault(self.slice, Drawing())
 
     # Study and result
@@ -558,7 +571,7 @@ class Session(EditHistory):
     @property
     def measured_part(self) -> Part:
         """Key of the measured motion of the selected slice."""
-        return self.slice._replace(kind="measured")
+        return replace(self.slice, kind="measured")
 
     def set_measured(self, measured: MeasuredMotion | None, word: str = "") -> None:
         """Change the measured motion of the selected slice as a step named `word`.

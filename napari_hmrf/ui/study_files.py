@@ -13,7 +13,6 @@ from psygnal import Signal
 from qtpy.QtWidgets import QFileDialog
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.field.frame import SlicePlace
 from napari_hmrf.io.study_file import (
     SUFFIX,
     overlay_named_in,
@@ -120,9 +119,9 @@ class StudyFiles:
         if pairs := self._landmarks_apart(study):
             sentences.append(f"It lacks the landmarks of '{pairs}': press 'Use as landmarks'.")
         others = [
-            _extent(part.place.name)
+            _extent(part.slice_name)
             for part in work.slices
-            if part.layer is here.layer and part != here and part.place is not None
+            if part.layer is here.layer and part != here and part.plane
         ]
         if others:
             sentences.append(f"Not saved yet: {', '.join(others)}. Each has a file of its own.")
@@ -192,8 +191,8 @@ class StudyFiles:
                     written.add(layer, select=True)
             if (frame := study.grid.place) is not None:
                 first = next(iter(layers.values()))
-                place = SlicePlace(frame.plane, (0,) * first.ndim)
-                undo_of(self._viewer).go_to(Part("drawing", first, place), turn=True)
+                part = Part("drawing", first, frame.plane, (0,) * first.ndim)
+                undo_of(self._viewer).go_to(part, turn=True)
             self._session.restore(study, layers)
             drawing, measured = study.motion.drawing, study.motion.measured
             if measured is not None or drawing.marks:

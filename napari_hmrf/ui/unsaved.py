@@ -95,8 +95,8 @@ class Unsaved:
         """Go to a slice or a volume, and save it to its known path, or to a path that is chosen."""
         self._undo.select_image_of(part)
         extent = self._controller.form.extent
-        if part.place is not None and extent.has_slices:
-            extent.value = "volume" if len(part.place.plane) == 3 else "slice"
+        if part.plane and extent.has_slices:
+            extent.value = "volume" if len(part.plane) == 3 else "slice"
         self._undo.go_to(part, turn=True)
         self._controller.refresh()
         known = self._work.paths.get(part)

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.study.edit_history import EditHistory, Step
 from napari_hmrf.study.session import Session
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
@@ -215,13 +216,14 @@ def test_an_amended_value_is_not_a_step():
 
 def test_the_drawings_of_two_slices_share_one_undo_order():
     model, arrow = Session(), Drawing((Arrow((1, 1), (1, 0), 1.0),))
-    model.select_slice("image", 0)
+    slices = [Frame.at((1, 1, 1), ("pixel",) * 3, index=(number, 0, 0)) for number in range(2)]
+    model.select_slice("image", slices[0])
     model.draw(arrow, "drew an arrow")
-    model.select_slice("image", 1)
+    model.select_slice("image", slices[1])
     assert model.drawing == Drawing()
     model.begin_drawing("drew another")
     model.update_drawing(arrow)
-    model.select_slice("image", 0)
+    model.select_slice("image", slices[0])
     assert (model.drawing, model.drawing_in_progress) == (arrow, False)
     with pytest.raises(RuntimeError, match="begin"):
         model.update_drawing(Drawing())

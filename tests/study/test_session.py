@@ -10,7 +10,7 @@ from napari.viewer import ViewerModel
 from psygnal import EmitLoopError
 
 from napari_hmrf import Arrow, BoundaryRule, Drawing, Material, solve_study
-from napari_hmrf.field.frame import SlicePlace
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.io.study_file import read_study, write_study
 from napari_hmrf.layers.metadata import table_of
 from napari_hmrf.layers.read import Request, study_from_layers, study_layers
@@ -203,7 +203,7 @@ def test_the_window_and_the_model_update_each_other(dock, layers, at_rest):
     at_rest.until(lambda: not dock.busy)
     model.draw(Drawing((PULL,)), "drew an arrow")
     at_rest.until(lambda: dock.solution is not None and not dock.busy)
-    assert model.slice.place == SlicePlace.of(dock.study.grid.known_place)
+    assert model.slice == Part.of_slice("drawing", dock.image, dock.study.grid.place)
     np.testing.assert_allclose(dock.solution.displacement[12, 15], (0, 2), atol=1e-2)
 
 
@@ -279,17 +279,20 @@ def test_another_stroke_after_undo_counts_as_unsaved_work(layers):
 
 def test_a_drag_ends_as_a_step_when_another_slice_is_selected(layers):
     model = Session()
+    first, second = (
+        Frame.at((1, 1, 1), ("pixel",) * 3, index=(number, 0, 0)) for number in range(2)
+    )
     model.select(layers["image"])
-    model.select_slice(layers["image"], "first")
+    model.select_slice(layers["image"], first)
     model.begin_drawing("drew an arrow")
     model.update_drawing(Drawing((PULL,)))
-    model.select_slice(layers["image"], "second")
+    model.select_slice(layers["image"], second)
     assert not model.drawing_in_progress
     assert not model.drawing.marks
     assert model.in_progress is None
     assert model.next_undo.word == "drew an arrow"
     model.undo()
-    model.select_slice(layers["image"], "first")
+    model.select_slice(layers["image"], first)
     assert not model.drawing.marks
 
 

@@ -100,7 +100,7 @@ class CarryOver:
     def _on_keep(self) -> None:
         count = len(self._marks)
         self._close()
-        where = "volume" if len(self._slice.place.plane) == 2 else "slice"
+        where = "volume" if len(self._slice.plane) == 2 else "slice"
         self._show_message(f"{_count(count)} {_stay(count)} with the {where}.")
 
     def _close(self) -> None:
@@ -110,16 +110,16 @@ class CarryOver:
 
 def _is_other_extent(one: Part, other: Part) -> bool:
     """Return whether one part is a slice and the other part is a volume of the same image."""
-    if one.layer is not other.layer or None in (one.place, other.place):
+    if one.layer is not other.layer:
         return False
-    return {len(one.place.plane), len(other.place.plane)} == {2, 3}
+    return {len(one.plane), len(other.plane)} == {2, 3}
 
 
 def _copies(marks: Sequence[Mark], source: Part, target: Part) -> list[Mark | None]:
     """Return the marks as marks of the other extent; None for marks on other slices."""
-    to_volume = len(target.place.plane) == 3
+    to_volume = len(target.plane) == 3
     flat, volume = (source, target) if to_volume else (target, source)
-    place = SliceInVolume.of(flat.place.plane, flat.place.index, volume.place.plane)
+    place = SliceInVolume.of(flat.plane, flat.index, volume.plane)
     return [place.to_volume(mark) if to_volume else place.to_slice(mark) for mark in marks]
 
 
@@ -127,8 +127,8 @@ def _question(
     marks: Sequence[Mark], copies: Sequence[Mark | None], source: Part, target: Part
 ) -> str:
     count, others = len(marks), copies.count(None)
-    them, name = "it" if count == 1 else "them", source.place.name or "the slice"
-    if len(target.place.plane) == 3:
+    them, name = "it" if count == 1 else "them", source.slice_name or "the slice"
+    if len(target.plane) == 3:
         return (
             f"{_count(count)} {_are(count)} drawn on {name} alone. Carry {them} over to the "
             f"volume, or keep {them} with the slice?"

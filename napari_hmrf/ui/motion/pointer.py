@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 from psygnal import Signal
 
-from napari_hmrf.field.frame import SlicePlace
 from napari_hmrf.field.units import as_seen
 from napari_hmrf.layers.compat import text_of
 from napari_hmrf.layers.line_of_sight import LineOfSight
@@ -152,9 +151,10 @@ class Pointer:
         self.release()
         self._early_drags.clear()
         self.display.close_slice()
-        place = None if study is None else SlicePlace.of(study.grid.known_place)
-        self._session.select_slice(None if study is None else image, place)
-        if study is not None:
+        if study is None:
+            self._session.select_slice(None)
+        else:
+            self._session.select_slice(image, study.grid.place)
             self.display.open_slice(study)
         self.tool = self._create_tool(type(self.tool))
         self.pulled.emit("")
