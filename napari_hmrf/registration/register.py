@@ -248,16 +248,17 @@ def on_grid(
     if same and moving.shape == fixed.shape:
         return Images(fixed, moving, counted)
 
-    def aligned(image: npt.NDArray[Any], order: int) -> npt.NDArray[np.float32]:
+    def aligned(image: npt.NDArray[Any], order: int, mode: str) -> npt.NDArray[np.float32]:
         out = np.empty(fixed.shape, np.float32)
         scipy.ndimage.affine_transform(
-            image.astype(np.float32), turn, shift, output=out, order=order, mode="constant"
+            image.astype(np.float32), turn, shift, output=out, order=order, mode=mode
         )
         return out
 
-    # Cubic interpolation blurs the image less, but must not reach beyond pixels that count.
-    known = aligned(counted[1], 1) > 0.999
-    return Images(fixed, aligned(moving, 3), (counted[0], known))
+    # Cubic interpolation blurs the image less, but must not reach beyond pixels that count. With
+    # these modes, pixels that rounding moves beyond the edge are those at the edge.
+    known = aligned(counted[1], 1, "grid-constant") > 0.999
+    return Images(fixed, aligned(moving, 3, "mirror"), (counted[0], known))
 
 
 def _standard_deviation(found: Match) -> float:
