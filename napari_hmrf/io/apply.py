@@ -170,7 +170,7 @@ def read_field_file(path: str | os.PathLike[str], *, forward: bool = False) -> F
     field = file.field
     across = field.vectors[..., 0]
     if across.ndim == 3 and len(across) == 1 and np.abs(across).max() < _ROUNDING:  # a single slice
-        field = DisplacementField(file.displacement[0, ..., 1:], file.spacing[1:])
+        field = DisplacementField(field.vectors[0, ..., 1:], file.spacing[1:], field.back)
     return FieldFile(field, file.geometry)
 
 
@@ -249,7 +249,7 @@ def apply_field(
         whole_numbers(name, image.pixels)
     order = 0 if labels else 1
     blended = "" if labels else _note_on_labels(image.pixels, name)
-    if n == 2 and image.ndim == 3 and image.geometry is not None:
+    if n == 2 and image.is_of_volume and (image.ndim == 3 or field.geometry.ndim == 3):
         return Applied(write_image(target, _move_slice(field, image, name, order)), blended)
     if n == 3:
         image = image.laid_as(field.in_patient, field.file_axes)
@@ -264,9 +264,7 @@ def apply_field(
     if n == image.ndim:
         image.refuse_elsewhere(field.in_patient, name, "the field")
     note = ""
-    if n == 3 and field.field.back:
-        moved = _sample_backward(field, pixels, order)
-    elif n == image.ndim:
+    if n == image.ndim:
         moved = _warp_pixels(field, pixels, order)
     else:
         moved = pixels.copy()
@@ -310,35 +308,38 @@ def _note_on_labels(pixels: Pixels, name: str) -> str:
 
 
 def _warp_pixels(field: FieldFile, pixels: Pixels, order: int) -> Pixels:
+    if field.field.back:
+        return _sample_backward(field, pixels, order)
     remaining, d = without_removed(pixels, field.removed, 0), field.displacement
     where: dict[str, Any] = {"tissue": field.tissue, "parts": field.parts}
     return warp(remaining, d, spacing=field.spacing, order=order, **where)
 
 
 def _sample_backward(field: FieldFile, pixels: Pixels, order: int) -> Pixels:
-    """Warp a volume with a backward field, without inverting the field."""
+    """Warp an image with a backward field, without inverting the field."""
     steps = field.field.backward / field.spacing
     origins = np.moveaxis(steps, -1, 0) + np.indices(steps.shape[:-1])
-    if pixels.ndim > 3:
+    if pixels.ndim > len(field.shape):
         parts = [_sample_at(pixels[..., part], origins, order) for part in range(pixels.shape[-1])]
         return np.stack(parts, axis=-1)
     return _sample_at(pixels, origins, order)
 
 
 def _sample_at(pixels: Pixels, origins: Pixels, order: int) -> Pixels:
+    """Return the values of an image at the given pixels; 0 outside of its outermost pixels."""
+    last = np.reshape(pixels.shape, (-1, *(1,) * pixels.ndim)) - 1
+    near = np.floor(origins + 0.5).astype(int)
+    inside = ((near >= 0) & (near <= last)).all(axis=0)
     if order == 0:
-        near = np.floor(origins + 0.5).astype(int)
-        last = np.array(pixels.shape).reshape(-1, 1, 1, 1) - 1
-        inside = ((near >= 0) & (near <= last)).all(axis=0)
-        nearest: Pixels = pixels[tuple(np.clip(near, 0, last))]
-        nearest[~inside] = 0
-        return nearest
-    sampled: Pixels = scipy.ndimage.map_coordinates(
-        pixels.astype(float), origins, order=1, cval=0.0
-    )
-    if pixels.dtype.kind in "biu":
-        sampled = np.rint(sampled)
-    return sampled.astype(pixels.dtype)
+        sampled: Pixels = pixels[tuple(np.clip(near, 0, last))]
+    else:
+        sampled = scipy.ndimage.map_coordinates(
+            pixels.astype(float), origins, order=1, mode="nearest"
+        )
+        if pixels.dtype.kind in "biu":
+            sampled = np.rint(sampled)
+    sampled[~inside] = 0
+    return sampled.astype(pixels.dtype, copy=False)
 
 
 def _move_slice(field: FieldFile, image: ImageFile, name: str, order: int) -> ImageFile:
@@ -359,13 +360,13 @@ def _move_slice(field: FieldFile, image: ImageFile, name: str, order: int) -> Im
             "does not state which one. Solve that slice of the volume (--slice, or "
             "Grid.from_image(volume, slice=...) in Python), or give an image of that slice only.",
         )
-    pixels = image.pixels.copy()
+    pixels = image.pixels_in_place.copy()
     for axes in permutations(range(3)):
         reordered = image._replace(pixels=pixels).reordered(axes)
         index = _find_slice(of_slice, reordered)
         if index is not None and reordered.pixels.shape[1:3] == field.shape:
             reordered.pixels[index] = _warp_pixels(field, reordered.pixels[index], order)
-            return image._replace(pixels=pixels)
+            return image._replace(pixels=pixels.reshape(image.pixels.shape))
     raise ProblemError(
         name,
         f"has no slice at the place of the field, which is a slice of {grid_in_words(field.shape)} "

@@ -82,6 +82,11 @@ class ImageFile(NamedTuple):
         return self.pixels[(np.newaxis,) * more]
 
     @property
+    def is_of_volume(self) -> bool:
+        """True for a volume with a place, and for one of its slices."""
+        return self.geometry is not None and self.geometry.ndim == 3
+
+    @property
     def upright(self) -> ImageFile:
         """Image with the axes of a volume in the order of the nearest world axes.
 
