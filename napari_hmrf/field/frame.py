@@ -12,8 +12,9 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
+from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.units import is_unit, unit_factor, unit_symbol
-from napari_hmrf.geometry import Geometry
+from napari_hmrf.geometry import SAME, Geometry
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
 
@@ -26,8 +27,6 @@ PATIENT_AXES = {"superior": ("S", "I"), "posterior": ("P", "A"), "left": ("L", "
 PLACE = ("scale", "translate", "rotate", "shear", "affine", "units", "axis_labels")
 #: Attributes of a `Frame` that are stored in files.
 _STORED = ("plane", "index", *PLACE, "matrix")
-#: Largest distance, in pixels, between corresponding corners of layers at the same position.
-_TOLERANCE = 1e-3
 #: Upper bound of a slice index in a file.
 _FARTHEST = 2**31
 
@@ -139,6 +138,42 @@ class Frame:
             axis_labels=tuple(PATIENT_AXES) if n == 3 else ("y", "x"),
             volume=volume,
         )
+
+    def geometry(self, shape: Sequence[int]) -> Geometry:
+        """Return the grid in patient coordinates; for a slice of a volume, a volume of one slice.
+
+        The world coordinates of the layer are assumed to be patient coordinates: the axes z, y and
+        x point to superior, posterior and left, as for medical images opened with this package.
+
+        Parameters
+        ----------
+        shape : sequence of int
+            Shape of the slice or volume.
+
+        Raises
+        ------
+        ProblemError
+            If the unit of an axis is not a unit of length.
+        """
+        matrix, plane = np.array(self.matrix), list(self.plane)
+        # Millimetres per unit of each world axis; 1 for pixels, 0 for units that are not lengths.
+        sizes = np.nan_to_num(
+            [1.0 if unit == "pixel" else unit_factor(unit, "millimeter") for unit in self.units]
+        )
+        others = [axis for axis in self.others if sizes[axis]]
+        axes = plane if len(plane) == 3 else [*others[-1:], *plane]
+        if not sizes[axes].all():
+            raise ProblemError(
+                "displacement",
+                f"is measured in {', '.join(self.units)}. Use a unit of length, such as mm.",
+            )
+        # The rows are world axes, z first; the columns are image axes.
+        world, n = sorted(axes), len(axes)
+        affine = np.eye(n + 1)
+        affine[:n, :n] = matrix[np.ix_(world, axes)] * sizes[world][:, None]
+        affine[:n, n] = (matrix @ [*self.index, 1.0])[world] * sizes[world]
+        shape = (*(1,) * (n - len(shape)), *shape)
+        return Geometry(shape, affine, "pixel" if self.unit == "pixel" else "millimeter")
 
     def __repr__(self) -> str:
         sizes = f"{grid_in_words(self.spacing)} {self.unit}"
@@ -327,7 +362,7 @@ class Frame:
         if to is None or len(self.plane) != len(other.plane):
             return False
         apart = other._corners(shape) @ to.T - self._corners(shape)[:, :-1]
-        return bool(np.abs(apart).max() <= _TOLERANCE)
+        return bool(np.abs(apart).max() <= SAME)
 
     def slice_in(self, other: Frame, sizes: Sequence[int], shape: tuple[int, ...]) -> Frame | None:
         """Return the slice of another layer that covers the same region of the world, or None.

@@ -23,8 +23,9 @@ from napari_hmrf.arguments import checked_path, require_flag, require_kind, show
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import ArgumentError, FileFormatError, ProblemError
 from napari_hmrf.field.displacement_field import DisplacementField
+from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.inverse_field import inverse_displacement
-from napari_hmrf.field.units import SAME_SPACING, UNKNOWN_UNITS, has_same_spacing, unit_factor
+from napari_hmrf.field.units import SAME_SPACING, UNKNOWN_UNITS, unit_factor
 from napari_hmrf.field.warp import as_field
 from napari_hmrf.geometry import Geometry, is_orthogonal
 from napari_hmrf.io.itk_files import (
@@ -333,39 +334,15 @@ def is_field_file(path: str | os.PathLike[str]) -> bool:
 def geometry_of(solution: Solution) -> Geometry:
     """Return the grid of a solution; for a slice of a volume, as a volume of one slice.
 
-    The world coordinates of the layers are assumed to be patient coordinates: the axes z, y and x
-    point to superior, posterior and left, as for medical images opened with this package.
-
     Raises
     ------
     ProblemError
         If the pixels are not rectangular, or the unit of an axis is not a unit of length.
     """
-    frame = solution.frame or {}
-    if "matrix" not in frame:
+    if not solution.frame:
         return Geometry.at_origin(solution.tissue.shape, solution.spacing)
-    matrix, plane = np.array(frame["matrix"]), list(frame["plane"])
-    # Millimetres per unit of each world axis; 1 for pixels, NaN for units that are not lengths.
-    mm = [1.0 if unit == "pixel" else unit_factor(unit, "millimeter") for unit in frame["units"]]
-    sizes = np.nan_to_num(mm)
-    others = [axis for axis in np.flatnonzero(sizes).tolist() if axis not in plane]
-    axes = plane if len(plane) == 3 else [*others[-1:], *plane]
-    if not sizes[axes].all():
-        units = ", ".join(str(unit) for unit in frame["units"])
-        raise ProblemError(
-            "displacement", f"is measured in {units}. Use a unit of length, such as mm."
-        )
-    # The rows are world axes, z first; the columns are image axes.
-    world = sorted(axes)
-    steps = matrix[np.ix_(world, axes)] * sizes[world][:, None]
-    first = (matrix @ [*frame["index"], 1.0])[world] * sizes[world]
-    n = len(axes)
-    affine = np.eye(n + 1)
-    affine[:n, :n], affine[:n, n] = steps, first
-    unit = "pixel" if frame["units"][plane[-2]] == "pixel" else "millimeter"
-    shape = (1,) * (n - solution.tissue.ndim) + solution.tissue.shape
-    geometry = Geometry(shape, affine, unit)
-    check_rotation(geometry.direction, n)
+    geometry = Frame.of_solution(solution).geometry(solution.tissue.shape)
+    check_rotation(geometry.direction, geometry.ndim)
     return geometry
 
 
@@ -474,27 +451,9 @@ def place_solution(
         As for `export_field`.
     """
     if grid is not None:
-        if grid.shape != solution.tissue.shape:
-            raise ProblemError(
-                "grid",
-                f"is {grid_in_words(grid.shape)}, but the field is "
-                f"{grid_in_words(solution.tissue.shape)}. Pass the grid of its image.",
-            )
-        if not has_same_spacing(solution.spacing, solution.unit, grid.spacing, grid.unit):
-            sizes = f"{grid_in_words(solution.spacing)} {solution.unit}".rstrip()
-            raise ProblemError(
-                "grid",
-                f"has pixels of {grid_in_words(grid.spacing)} {grid.unit}, but the field has "
-                f"pixels of {sizes}. Solve on the grid of the image.",
-            )
+        grid.require_grid_of(solution, "Pass the grid of its image.")
         if grid.place is not None:
-            on_grid = replace(solution, frame=grid.place.as_dict())
-            if solution.frame and not geometry_of(solution).same_as(geometry_of(on_grid)):
-                raise ProblemError(
-                    "grid",
-                    "is not in the same place as the field. Leave grid out, or solve on this grid.",
-                )
-            solution = on_grid
+            solution = replace(solution, frame=grid.place.as_dict())
         elif placed_only and not solution.frame:
             raise ProblemError(
                 "grid",

@@ -20,7 +20,7 @@ from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import HmrfError, ProblemError, naming
 from napari_hmrf.extras import how_to_install
 from napari_hmrf.field.brightness import luminance
-from napari_hmrf.field.units import unit_symbol
+from napari_hmrf.field.units import unit_factor, unit_symbol
 from napari_hmrf.io.case import read_case
 from napari_hmrf.io.case_options import Case
 from napari_hmrf.io.fields import geometry_of, write_mapping
@@ -377,7 +377,7 @@ def relative_place(
     Raises
     ------
     ProblemError
-        If only one image has a place, or if slices are not parallel.
+        If only one image has a place, if the units differ, or if slices are not parallel.
     """
     grid, moving = study.grid, other.grid
     n = len(grid.shape)
@@ -393,13 +393,20 @@ def relative_place(
         )
     if not placed[0]:
         return np.eye(n + 1), ()
-    (turn, first), (moving_turn, moving_first) = _axes_in_world(grid), _axes_in_world(moving)
-    if len(first) != len(moving_first):
+    if unit_factor(moving.unit, grid.unit) != 1:
         raise ProblemError(
             names[1],
-            f"has a position in {len(moving_first)} dimensions, but that of {names[0]} has "
-            f"{len(first)}. Save both images in the same way.",
+            f"has lengths in {moving.unit}, but {names[0]} has lengths in {grid.unit}. Give both "
+            "images in the same unit.",
         )
+    here, there = (each.known_place.geometry(each.shape) for each in (grid, moving))
+    if here.ndim != there.ndim:
+        raise ProblemError(
+            names[1],
+            f"has a position in {there.ndim} dimensions, but that of {names[0]} has {here.ndim}. "
+            "Save both images in the same way.",
+        )
+    turn, moving_turn = here.directions[:, -n:], there.directions[:, -n:]
     back = np.linalg.pinv(moving_turn)
     tilt = np.linalg.norm(turn - moving_turn @ back @ turn, axis=0).max()
     if tilt > _TILT:
@@ -407,22 +414,15 @@ def relative_place(
             names[1],
             f"is a slice that is tilted against {names[0]}. Give parallel slices, or volumes.",
         )
-    offset = first - moving_first
+    offset = (here.affine - there.affine)[:-1, -1]
     apart = float(np.linalg.norm(offset - moving_turn @ back @ offset))
     matrix = np.eye(n + 1)
-    matrix[:n, :n], matrix[:n, n] = back @ turn, back @ offset
+    matrix[:n, :n] = back @ turn
+    matrix[:n, n] = back @ offset * unit_factor("millimeter", grid.unit)
     # Rounding in file headers must not blur images that have the same grid.
     matrix = np.where(np.abs(matrix - np.rint(matrix)) < _PARALLEL, np.rint(matrix), matrix)
     notes = (f"the slices are {apart:.3g} mm apart, which was ignored",) if apart > _TILT else ()
     return matrix, notes
-
-
-def _axes_in_world(grid: Grid) -> tuple[Float64Array, Float64Array]:
-    """Return the unit vectors of the axes of a grid, as columns, and its first pixel."""
-    place = grid.known_place
-    matrix = np.array(place.matrix)
-    columns = matrix[:-1, list(place.plane)] / grid.spacing
-    return columns, (matrix @ [*place.index, 1.0])[:-1]
 
 
 def _aligned(kind: Literal["rigid", "affine"], pair: _Pair) -> Float64Array:

@@ -24,10 +24,8 @@ from napari_hmrf.arguments import checked_target, require_kind
 from napari_hmrf.array_file import Invalid, Kind
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.field.units import has_same_spacing
 from napari_hmrf.solver.parameters import optimizer_from_dict, prior_from_dict
 from napari_hmrf.solver.priors import Elastic, Prior
-from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import SOLUTION_FORMAT, SUM, Solution
 from napari_hmrf.solver.solve import Progress
 from napari_hmrf.study.ground import build_problem, solve_study
@@ -122,7 +120,7 @@ def write_study(
     require_kind(Study, "study", study, "Study(grid, tissue, motion)")
     if solution is not None:
         require_kind(Solution, "solution", solution, "the result of solve_study()")
-        _refuse_other_grid(study.grid, solution)
+        study.grid.require_grid_of(solution, "Use the solution of this study.")
     target = Path(checked_target(path))
     if not target.suffix:
         target = target.with_name(target.name + SUFFIX)
@@ -286,26 +284,6 @@ def replay(
     return solve_study(study, stated=build_problem(study), backend=backend, progress=progress)
 
 
-def _refuse_other_grid(grid: Grid, solution: Solution) -> None:
-    """Raise an error if the grid of a solution differs from that of the study."""
-    shape, remedy = solution.tissue.shape, "Use the solution of this study."
-    if shape != grid.shape:
-        raise ProblemError(
-            "solution",
-            f"is {grid_in_words(shape)}, but the study is {grid_in_words(grid.shape)}. {remedy}",
-        )
-    if not has_same_spacing(solution.spacing, solution.unit, grid.spacing, grid.unit):
-        raise ProblemError(
-            "solution",
-            f"has pixels of {grid_in_words(solution.spacing)} {solution.unit}".rstrip()
-            + f", but the study has pixels of {grid_in_words(grid.spacing)} {grid.unit}. {remedy}",
-        )
-    if solution.frame and grid.place is not None and solution.frame != grid.place.as_dict():
-        place = Frame.of_solution(solution)
-        if place.ndim != grid.place.ndim or not place.same_place(grid.place, shape):
-            raise ProblemError("solution", f"is not in the same place as the study. {remedy}")
-
-
 class _Content(NamedTuple):
     """Content of a file: study, solution, and names of the overlay and second image in the window.
 
@@ -462,7 +440,7 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> _Content:
         }
         solution = SOLUTION_FORMAT.parse(header["solution"], of_solution)
         try:
-            _refuse_other_grid(study.grid, solution)
+            study.grid.require_grid_of(solution, "Use the solution of this study.")
         except ProblemError as error:
             raise Invalid(f"its {error}") from None
         solution = replace(solution, unit=solution.unit or study.grid.unit)

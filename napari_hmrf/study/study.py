@@ -38,6 +38,7 @@ from napari_hmrf.solver.model_names import model_name
 from napari_hmrf.solver.optimizers import ICM, Multigrid, Optimizer
 from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.problem import checked_spacing, grid_in_words, whole_numbers
+from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.uncertain_landmarks import StrainScale
 from napari_hmrf.study.measured_motion import MeasuredMotion
 from napari_hmrf.study.models import USUAL_OPTIMIZER, USUAL_PRIOR, is_by_name, parts_of
@@ -148,6 +149,25 @@ class Grid:
         """Place of a grid that is known to have a place, such as a grid read from layers."""
         assert self.place is not None
         return self.place
+
+    def require_grid_of(self, solution: Solution, remedy: str) -> None:
+        """Raise a ProblemError with a remedy if a solution has another shape, spacing or place."""
+        shape, difference = solution.tissue.shape, ""
+        if shape != self.shape:
+            sizes = grid_in_words(self.shape), grid_in_words(shape)
+            difference = f"is {sizes[0]}, but the field is {sizes[1]}"
+        elif not has_same_spacing(solution.spacing, solution.unit, self.spacing, self.unit):
+            sizes = grid_in_words(self.spacing), grid_in_words(solution.spacing)
+            difference = (
+                f"has pixels of {sizes[0]} {self.unit}, but the field has pixels of {sizes[1]} "
+                f"{solution.unit}"
+            ).rstrip()
+        elif solution.frame and self.place is not None:
+            place = Frame.of_solution(solution)
+            if place.ndim != self.place.ndim or not place.same_place(self.place, shape):
+                difference = "is not in the same place as the field"
+        if difference:
+            raise ProblemError("grid", f"{difference}. {remedy}")
 
     def to_pixels(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
         """Convert points in patient coordinates to pixels of this grid.

@@ -367,15 +367,18 @@ def test_devices_and_pipes_are_refused_as_studies_and_tables(tmp_path):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        ({"spacing": (1.0, 1.0)}, r"has pixels of 1 x 1 millimeter.*Use the solution of this"),
-        ({"unit": "um"}, r"has pixels of 0\.5 x 0\.8 um, but the study has"),
+        (
+            {"spacing": (1.0, 1.0)},
+            r"field has pixels of 1 x 1 millimeter.*Use the solution",
+        ),
+        ({"unit": "um"}, r"field has pixels of 0\.5 x 0\.8 um"),
         (
             {"frame": Frame.at((0.5, 0.8), ("mm",) * 2, affine=np.diag([1, -1, 1])).as_dict()},
             "place",
         ),
         (
             {"tissue": np.ones((20, 25), bool), "displacement": np.zeros((20, 25, 2))},
-            "is 20 x 25, but the study is 20 x 24",
+            "is 20 x 24, but the field is 20 x 25",
         ),
     ],
 )

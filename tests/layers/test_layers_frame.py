@@ -29,9 +29,9 @@ def differ(first, second, shape=SHAPE):
     return not there
 
 
-@pytest.mark.parametrize("pixels", [0.4, 0.01, -0.002])
+@pytest.mark.parametrize("pixels", [0.5, -0.3])
 @pytest.mark.parametrize("axis", [0, 1])
-def test_a_small_fraction_of_a_pixel_is_another_place(pixels, axis):
+def test_a_third_of_a_pixel_away_is_another_place(pixels, axis):
     offset = np.zeros(2)
     offset[axis] = pixels
     assert differ(frame(), frame(translate=offset))
