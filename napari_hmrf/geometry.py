@@ -19,6 +19,8 @@ Float64Array = npt.NDArray[np.float64]
 SAME = 0.25
 #: Largest deviation of the directions of axes at right angles from an orthogonal matrix.
 _ROUNDING = 1e-5
+#: Largest shift of a pixel to a grid at right angles, in pixels: directions are rounded in files.
+_STRAIGHT = 0.1
 
 
 def is_orthogonal(matrix: Float64Array) -> bool:
@@ -115,10 +117,30 @@ class Geometry:
         """Spacing, origin and direction, as arguments of `write_field`."""
         return {"spacing": self.spacing, "origin": self.origin, "direction": self.direction}
 
-    @property
-    def has_right_angles(self) -> bool:
-        """True if the axes are at right angles."""
-        return is_orthogonal(self.directions)
+    def right_angled(self) -> Geometry:
+        """Return the nearest grid with axes at right angles and the same first pixel.
+
+        Raises
+        ------
+        ValueError
+            If a pixel would be shifted by more than rounding in a file; the message is a clause
+            with a remedy.
+        """
+        if is_orthogonal(self.directions):
+            return self
+        n = self.ndim
+        u, _, v = np.linalg.svd(self.directions)
+        affine = self.affine.copy()
+        affine[:n, :n] = u @ v * self.spacing
+        nearest = replace(self, affine=affine)
+        shift = nearest.farthest_from(self) / min(self.spacing)
+        if shift > _STRAIGHT:
+            raise ValueError(
+                f"its axes are not at right angles: pixels are shifted by up to {shift:.3g} pixels,"
+                " as in scans with a tilted gantry. Resample it to a grid with right angles, for "
+                "example with nibabel.processing.resample_to_output(image)"
+            )
+        return nearest
 
     def to_world(self, pixels: npt.ArrayLike) -> Float64Array:
         """Convert points, shape (..., n), from pixels of the grid to positions."""
@@ -138,8 +160,18 @@ class Geometry:
         """
         if other is None or self.ndim != other.ndim:
             return False
-        corners = np.array([*product(*((0, size - 1) for size in self.shape))], float)
+        corners = self._corners
         return bool(np.abs(other.to_pixels(self.to_world(corners)) - corners).max() <= SAME)
+
+    def farthest_from(self, other: Geometry) -> float:
+        """Return the largest distance between corners of this grid and their indices in another."""
+        apart = other.to_world(self._corners) - self.to_world(self._corners)
+        return float(np.linalg.norm(apart, axis=1).max())
+
+    @property
+    def _corners(self) -> Float64Array:
+        """Indices of the corners, shape (2^n, n)."""
+        return np.array([*product(*((0, size - 1) for size in self.shape))], float)
 
     def scaled(self, factor: float) -> Geometry:
         """Return the geometry with all lengths multiplied by a factor."""

@@ -87,8 +87,13 @@ def test_grids_are_in_the_same_place_if_their_corners_are(grid):
     assert grid.same_as(cut)
 
 
-def test_a_sheared_grid_has_no_right_angles(grid):
-    assert grid.has_right_angles
-    affine = grid.affine.copy()
-    affine[:, 0] += 0.01 * affine[:, 1]
-    assert not Geometry(SHAPE, affine).has_right_angles
+def test_axes_are_straightened_up_to_rounding(grid):
+    assert grid.right_angled() is grid
+    rounded, sheared = grid.affine.copy(), grid.affine.copy()
+    rounded[:, 0] += 0.02 * rounded[:, 1]
+    nearest = Geometry(SHAPE, rounded).right_angled()
+    np.testing.assert_allclose(nearest.direction @ nearest.direction.T, np.eye(3), atol=1e-12)
+    assert nearest.farthest_from(grid) < 0.1 * min(SPACING)
+    sheared[:, 0] += 0.2 * sheared[:, 1]
+    with pytest.raises(ValueError, match="right angles"):
+        Geometry(SHAPE, sheared).right_angled()

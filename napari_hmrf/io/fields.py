@@ -522,25 +522,3 @@ def check_rotation(direction: npt.ArrayLike, n: int) -> npt.NDArray[np.float64]:
             "the image axes as its columns.",
         )
     return turn
-
-
-def require_right_angles(geometry: Geometry, name: str) -> None:
-    """Raise an error if the axes of a grid are not at right angles.
-
-    Parameters
-    ----------
-    geometry : Geometry
-    name : str
-        Name of the image or its file, for the error message.
-
-    Raises
-    ------
-    ProblemError
-        If the directions of the axes are not orthogonal.
-    """
-    if not geometry.has_right_angles:
-        raise ProblemError(
-            name,
-            "has axes that are not at right angles, as scans with a tilted gantry. Resample it to "
-            "a grid with right angles.",
-        )

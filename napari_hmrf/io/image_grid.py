@@ -14,7 +14,6 @@ from napari_hmrf.arguments import is_whole, shown
 from napari_hmrf.errors import ArgumentError, ProblemError
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.geometry import Geometry
-from napari_hmrf.io.fields import require_right_angles
 from napari_hmrf.io.images import read_image
 from napari_hmrf.io.nifti import fault_of_places
 from napari_hmrf.study.study import Grid
@@ -73,7 +72,7 @@ def grid_of_image(
     shape, n = geometry.shape, geometry.ndim
     is_placed = geometry.unit != "pixel"
     if is_placed:
-        require_right_angles(geometry, "image")
+        geometry = _right_angled(geometry)
         frame = Frame.of_geometry(geometry, volume=n == 3)
     else:
         frame = Frame.at((1.0,) * n, ("pixel",) * n, volume=n == 3)
@@ -110,6 +109,13 @@ def _of_file(path: str | os.PathLike[str], across: int | None) -> Geometry:
     is_stack = across == 0 and image.ndim == 3  # a slice of it is an image
     (image._replace(pixels=image.pixels[0]) if is_stack else image).refuse_as_grid(Path(path).name)
     return image.geometry or Geometry.at_origin(image.pixels.shape[: image.ndim])
+
+
+def _right_angled(geometry: Geometry) -> Geometry:
+    try:
+        return geometry.right_angled()
+    except ValueError as error:
+        raise ProblemError("image", f"is no grid of pixels: {error}.") from None
 
 
 def _of_simpleitk(image: Any) -> Geometry:

@@ -21,7 +21,6 @@ from napari_hmrf.arguments import checked_path, checked_target
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.geometry import Geometry
-from napari_hmrf.io.fields import require_right_angles
 from napari_hmrf.io.itk_files import (
     ItkImage,
     Unreadable,
@@ -202,11 +201,9 @@ class ImageFile(NamedTuple):
         Raises
         ------
         ProblemError
-            If axes are not at right angles; or if the image is a .tif whose first axis is not
-            depth, or whose pixels are not squares or cubes.
+            If the image is a .tif whose first axis is not depth, or whose pixels are not squares
+            or cubes.
         """
-        if self.geometry is not None:
-            require_right_angles(self.geometry, name)
         if self.ndim == 3 and self.stack:
             raise ProblemError(
                 name,

@@ -392,6 +392,9 @@ def main() -> None:
     for stream in (1, 2):  # libraries print warnings about damaged files to these streams
         os.dup2(silent, stream)
     sys.path[:] = json.loads(sys.stdin.buffer.readline())
+    # Without it, ITK refuses a NIfTI sform whose axes are at right angles only up to rounding, or
+    # reads the qform instead, which may state another place.
+    os.environ["ITK_NIFTI_SFORM_PERMISSIVE"] = "ON"
     try:
         import SimpleITK  # optional: SimpleITK
     except ImportError:

@@ -90,7 +90,7 @@ def read_itk_image(source: Path) -> ItkImage:
     _check_openable(source)
     _refuse_faults(source)
     _check_length(source)
-    image = _in_millimetres(_image(_decode(source, "pixels")), source)
+    image = _right_angled(_in_millimetres(_image(_decode(source, "pixels")), source))
     _restore_unknown(image, source)
     return image
 
@@ -142,6 +142,7 @@ def read_itk_vectors(source: Path) -> ItkImage:
     image = _in_millimetres(_image(_decode(source, "pixels", vectors=True)), source)
     if image.ndim == 2 and image.components == 3:
         image = _in_volume(image, source)
+    image = _right_angled(image)
     if _is_real_nifti(source, image):
         if not_finite(source) is not None:
             raise Unreadable("it contains NaN or infinite values")
@@ -304,6 +305,13 @@ def _image(decoded: Decoded) -> ItkImage:
     shape = pixels.shape[: len(spacing)]
     geometry = Geometry.of_itk(shape, spacing, header["origin"], header["direction"])
     return ItkImage(pixels, header["components"], geometry, header["metadata"])
+
+
+def _right_angled(image: ItkImage) -> ItkImage:
+    try:
+        return image._replace(geometry=image.geometry.right_angled())
+    except ValueError as error:
+        raise Unreadable(str(error)) from None
 
 
 def _header(image: ItkImage) -> dict[str, Any]:

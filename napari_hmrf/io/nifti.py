@@ -13,7 +13,6 @@ import gzip
 import math
 import zlib
 from collections.abc import Sequence
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -136,27 +135,20 @@ def fault_of_places(
     """
     if not codes[1]:
         return ""
-    corners = np.array([*product(*((0, size - 1) for size in shape))], float).T
-    steps = np.asarray(sform, float)[:3, :3]
-    sizes = np.linalg.norm(steps, axis=0)
-    if not (np.isfinite(steps).all() and (sizes > 0).all()):
+    affines = (np.vstack([each[:3], [0.0, 0.0, 0.0, 1.0]]) for each in (qform, sform))
+    first, second = (Geometry(tuple(shape), affine) for affine in affines)
+    if not (np.isfinite(second.affine).all() and min(second.spacing) > 0):
         return ""
-    allowed = _OFF * sizes.min()
-    u, _, v = np.linalg.svd(steps / sizes)
-    skewed = np.linalg.norm((steps - u @ v * sizes) @ corners, axis=0).max()
-    if skewed > allowed:
-        return (
-            f"its axes are not at right angles, because its sform is sheared, by up to {skewed:.3g}"
-            " mm. Resample it to a grid with right angles, for example with nibabel: "
-            "nibabel.processing.resample_to_output(image)"
-        )
+    try:
+        second.right_angled()
+    except ValueError as error:
+        return str(error)
     if codes[0] and codes[1] != _SCANNER:
-        offset = (np.asarray(qform) - sform)[:3, 3:]
-        apart = np.linalg.norm((np.asarray(qform)[:3, :3] - steps) @ corners + offset, axis=0).max()
-        if apart > allowed:
+        apart = first.farthest_from(second) / min(second.spacing)
+        if apart > _OFF:
             return (
-                f"its header states two places, qform and sform, which are up to {apart:.3g} mm "
-                "apart, and programs differ in which they use. Copy the right one to the other, "
+                f"its header states two places, qform and sform, which are up to {apart:.3g} pixels"
+                " apart, and programs differ in which they use. Copy the right one to the other, "
                 "for example with nibabel: image.set_qform(image.get_sform(), code=1), or "
                 "image.set_sform(image.get_qform(), code=1)"
             )
