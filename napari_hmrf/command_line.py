@@ -9,6 +9,7 @@ from typing import Any, NoReturn, get_args
 
 import napari_hmrf
 from napari_hmrf.arguments import did_you_mean
+from napari_hmrf.checks import POISSON_RANGE
 from napari_hmrf.io.option_types import (
     count_option,
     energy_option,
@@ -22,7 +23,7 @@ from napari_hmrf.samples.head import SAMPLE_SIZE as VOLUME_SIZE
 from napari_hmrf.samples.phantoms import PHANTOM_NAMES, SMALLEST
 from napari_hmrf.solver.backends import BACKEND_NAMES
 from napari_hmrf.solver.model_names import MODELS, as_word
-from napari_hmrf.solver.priors.elastic import POISSON_RANGE, Plane
+from napari_hmrf.solver.priors.elastic import Plane
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 
 #: Message of argparse about an unknown word: the argument, the word, and the known words.

@@ -9,8 +9,9 @@ import numpy as np
 from napari_hmrf import array_file
 from napari_hmrf.array_file import Arrays, Header, Invalid, Kind
 from napari_hmrf.augmentation.unit_solutions import MovableTissue, UnitSolutions
-from napari_hmrf.io.study_file import LABEL_TYPES, materials_of
+from napari_hmrf.io.study_file import LABEL_TYPES
 from napari_hmrf.study.study import Grid
+from napari_hmrf.tissue.boundary_rules import MATERIALS
 
 _NUMBERS = "smoothness", "weight", "least_jacobian"
 
@@ -20,7 +21,7 @@ def _describe(solutions: UnitSolutions) -> tuple[Header, Arrays]:
     header = {
         "spacing": list(case.grid.spacing),
         "unit": case.grid.unit,
-        "materials": [row.as_row() for row in case.materials],
+        "materials": MATERIALS.dump_python(case.materials, mode="json"),
         "hold_edge": case.hold_edge,
         "amplitude": list(case.amplitude),
         **{name: getattr(case, name) for name in _NUMBERS},
@@ -61,7 +62,7 @@ def _parse(header: Header, arrays: Arrays) -> UnitSolutions:
     case = MovableTissue(
         Grid(labels.shape, spacing, str(header["unit"])),
         labels,
-        materials_of(header["materials"]),
+        MATERIALS.validate_python(header["materials"]),
         bool(header["hold_edge"]),
         patches,
         centres,

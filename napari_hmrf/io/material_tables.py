@@ -21,18 +21,19 @@ other tissue.
 
 from __future__ import annotations
 
-from dataclasses import asdict
+import json
 from pathlib import Path
 from typing import Annotated, Literal
 
 import pydantic
+from pydantic import TypeAdapter
 
 from napari_hmrf.arguments import did_you_mean
 from napari_hmrf.atomic_write import write_whole
+from napari_hmrf.checks import POISSON_RANGE
 from napari_hmrf.errors import FileFormatError
 from napari_hmrf.io.csv_files import SYNONYMS
 from napari_hmrf.regular_file import read_at_most
-from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON, Material
 from napari_hmrf.tissue.material_presets import Preset
 
@@ -74,11 +75,12 @@ def write_preset(path: str | Path, preset: Preset) -> Path:
     values = {
         "format": FORMAT,
         "version": VERSION,
-        **asdict(preset),
-        "materials": [material.as_row() for material in preset.materials],
+        **TypeAdapter(Preset).dump_python(preset, mode="json"),
     }
     try:
-        text = _File.model_validate(values).model_dump_json(indent=2, exclude_unset=True)
+        text = _File.model_validate_json(json.dumps(values)).model_dump_json(
+            indent=2, exclude_unset=True
+        )
     except pydantic.ValidationError as error:
         raise _format_error(target, error) from error
     write_whole(target, f"{text}\n".encode())
@@ -112,7 +114,7 @@ def read_preset(path: str | Path) -> Preset:
         file = _File.model_validate_json(content)
     except pydantic.ValidationError as error:
         raise _format_error(source, error) from error
-    materials = tuple(Material.of_row(**row.model_dump()) for row in file.materials)
+    materials = tuple(Material(**row.model_dump()) for row in file.materials)
     return Preset(file.name or source.stem, file.unit, file.source, materials)
 
 

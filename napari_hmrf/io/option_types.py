@@ -7,8 +7,8 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+from napari_hmrf.checks import POISSON_RANGE
 from napari_hmrf.io.case_tables import read_energy
-from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 
 
 def energy_option(name: str) -> Callable[[str], Any]:

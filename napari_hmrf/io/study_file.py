@@ -31,7 +31,7 @@ from napari_hmrf.solver.solve import Progress
 from napari_hmrf.study.ground import build_problem, solve_study
 from napari_hmrf.study.measured_motion import MeasuredMotion
 from napari_hmrf.study.study import SWITCHES, Grid, Motion, Pictures, Study, Tissue
-from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
+from napari_hmrf.tissue.boundary_rules import MATERIALS, RULES
 from napari_hmrf.tissue.cavity import Cavity
 from napari_hmrf.tissue.drawing.record import drawing_of, held_motion, record_of
 from napari_hmrf.tissue.material_presets import Preset
@@ -50,8 +50,7 @@ _OF_SOLUTION = "solution_"
 #: Penalties of an elastic prior that are stored as words: derived from the confidence, and exact.
 _PENALTIES = {None: "inf", math.inf: "exact"}
 #: Validators of values in the header.
-_MATERIALS = TypeAdapter(tuple[Material, ...])
-_RULES = TypeAdapter(tuple[BoundaryRule, ...])
+_PRESET = TypeAdapter(Preset)
 _SHAPE = TypeAdapter(tuple[int, ...])
 _LENGTHS = TypeAdapter(tuple[float, ...])
 
@@ -319,16 +318,16 @@ def _describe(content: _Content) -> tuple[array_file.Header, array_file.Arrays]:
             "place": study.grid.place and study.grid.place.as_dict(),
         },
         "tissue": {
-            "materials": [row.as_row() for row in tissue.materials],
+            "materials": MATERIALS.dump_python(tissue.materials, mode="json"),
             "curve": None if curve is None else curve.as_dict(),
-            "preset": None if preset is None else _preset_as_dict(preset),
+            "preset": None if preset is None else _PRESET.dump_python(preset, mode="json"),
             "unit": tissue.unit,
             "record": dict(tissue.record),
             "without_border": tissue.without_border,
         },
         "motion": {
             **{each.name: bool(getattr(motion, each.name)) for each in SWITCHES},
-            "rules": [asdict(row) for row in motion.rules],
+            "rules": RULES.dump_python(motion.rules, mode="json"),
             "drawing": record_of(motion.drawing),
             "weight": list(motion.weight),
             "typical_strain": motion.typical_strain,
@@ -399,10 +398,10 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> _Content:
             ),
             Tissue(
                 labels=arrays.get("tissue_labels"),
-                materials=materials_of(tissue["materials"]),
+                materials=MATERIALS.validate_python(tissue["materials"]),
                 stiffness=arrays.get("stiffness"),
                 curve=None if curve is None else StiffnessCurve.from_dict(curve),
-                preset=None if preset is None else _preset_from_dict(preset),
+                preset=None if preset is None else _PRESET.validate_python(preset),
                 unit=str(tissue["unit"]),
                 record=dict(tissue["record"]),
                 without_border=bool(tissue["without_border"]),
@@ -410,7 +409,7 @@ def _parse(header: array_file.Header, arrays: array_file.Arrays) -> _Content:
             Motion(
                 **{each.name: bool(motion[each.name]) for each in SWITCHES},
                 labels=arrays.get("boundary_labels"),
-                rules=_RULES.validate_python(motion["rules"]),
+                rules=RULES.validate_python(motion["rules"]),
                 observed=arrays.get("observed"),
                 confidence=arrays.get("counts"),
                 drawing=drawing_of(motion["drawing"], arrays.get("patch_motion")),
@@ -467,25 +466,6 @@ def _measured_in(record: Any, arrays: array_file.Arrays) -> MeasuredMotion | Non
     if record is None:
         return None
     return MeasuredMotion.from_packed(arrays["measured"], arrays["precision"], dict(record))
-
-
-def _preset_as_dict(preset: Preset) -> dict[str, Any]:
-    return {**asdict(preset), "materials": [row.as_row() for row in preset.materials]}
-
-
-def _preset_from_dict(values: Mapping[str, Any]) -> Preset:
-    return Preset(**{**values, "materials": materials_of(values["materials"])})
-
-
-def materials_of(rows: Any) -> tuple[Material, ...]:
-    """Create materials from rows of `Material.as_row`, as stored in files.
-
-    Raises
-    ------
-    KeyError, TypeError, ValueError
-        If the rows are invalid.
-    """
-    return _MATERIALS.validate_python([asdict(Material.of_row(**row)) for row in rows])
 
 
 #: Format of study files.

@@ -28,7 +28,10 @@ from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
+from pydantic import TypeAdapter
+
 from napari_hmrf.arguments import checked_path
+from napari_hmrf.checks import POISSON_RANGE, Flag, Growth, Poisson, Stiffness
 from napari_hmrf.errors import FileFormatError
 from napari_hmrf.field.directions import Directions
 from napari_hmrf.field.elastic_strain import StrainKind
@@ -36,15 +39,11 @@ from napari_hmrf.field.held_forces import HeldForce
 from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.field.units import as_seen
 from napari_hmrf.io.csv_files import read_csv, unknown_column, write_csv
-from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.tissue.boundary_rules import (
-    LARGEST_STIFFNESS,
     RIGID,
     Action,
     BoundaryRule,
     Material,
-    is_growth,
-    read_stiffness,
     stiffness_in_words,
 )
 from napari_hmrf.tissue.tissue_names import KnownTissue, NamedMaterials
@@ -95,32 +94,10 @@ def _label(first: int) -> _Column:
     return _Column(read, f"a whole number, {first} or more")
 
 
-def _stiffness(text: str) -> float:
-    is_rigid = read_stiffness(text) == RIGID
-    return RIGID if is_rigid else _number(0, LARGEST_STIFFNESS)(text)
-
-
 def _action(text: str) -> str:
     if text.casefold() not in get_args(Action):
         raise ValueError
     return text.casefold()
-
-
-def _growth(text: str) -> float | tuple[float, ...]:
-    # Each part is a fraction, or a percentage if it contains %.
-    parts = tuple(
-        _number()(part.strip().removesuffix("%")) / (100 if "%" in part else 1)
-        for part in text.split("/")
-    )
-    if not all(is_growth(part) for part in parts):
-        raise ValueError
-    return parts if len(parts) > 1 else parts[0]
-
-
-def _is_yes(text: str) -> bool:
-    if text.casefold() not in ("yes", "no"):
-        raise ValueError
-    return text.casefold() == "yes"
 
 
 _NAME = _Column(str, "a name")
@@ -128,14 +105,19 @@ _LENGTH = _Column(_number(), "a number, a length in the image's unit (press, pul
 _OF_MATERIALS = {
     "label": _label(0),
     "name": _NAME,
-    "stiffness": _Column(_stiffness, 'a non-negative number, or "rigid"'),
+    "stiffness": _Column(
+        TypeAdapter(Stiffness).validate_python, 'a non-negative number, or "rigid"'
+    ),
     "poisson": _Column(
-        _number(*POISSON_RANGE), "a number from {:g} to {:g}".format(*POISSON_RANGE)
+        TypeAdapter(Poisson).validate_python, "a number from {:g} to {:g}".format(*POISSON_RANGE)
     ),
     "growth": _Column(
-        _growth, "a number such as 0.2 or 20% (a fifth longer), up to 10, or one for each axis"
+        TypeAdapter(Growth).validate_python,
+        "a number such as 0.2 or 20% (a fifth longer), up to 10, or one for each axis",
     ),
-    "slides": _Column(_is_yes, "yes, if the tissue slides along all other tissue, or no"),
+    "slides": _Column(
+        TypeAdapter(Flag).validate_python, "yes, if the tissue slides along all other tissue, or no"
+    ),
     "source": _Column(str, "the source of the numbers"),
 }
 _OF_RULES = {

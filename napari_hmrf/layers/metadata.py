@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict
+from collections.abc import Iterable, Mapping
 from typing import Any, Literal, overload
 
-from napari_hmrf.io.study_file import materials_of
-from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
+from pydantic import TypeAdapter
+
+from napari_hmrf.tissue.boundary_rules import MATERIALS, RULES, BoundaryRule, Material
 from napari_hmrf.tissue.row_table import Row, RowTable
 
 #: Key of the package's entry in a layer's metadata.
@@ -20,9 +20,9 @@ Role = Literal["image", "tissue", "boundary"]
 IMAGE: Literal["image"] = "image"
 TISSUE: Literal["tissue"] = "tissue"
 BOUNDARY: Literal["boundary"] = "boundary"
-_TABLES: dict[Role, tuple[str, Callable[..., Material | BoundaryRule]]] = {
-    TISSUE: ("materials", Material.of_row),
-    BOUNDARY: ("rules", BoundaryRule),
+_TABLES: dict[Role, tuple[str, TypeAdapter[Any]]] = {
+    TISSUE: ("materials", MATERIALS),
+    BOUNDARY: ("rules", RULES),
 }
 
 
@@ -67,9 +67,8 @@ def layer_metadata(
     """
     known: dict[str, Any] = {"role": role}
     if role in _TABLES:
-        known[_TABLES[role][0]] = [
-            row.as_row() if isinstance(row, Material) else asdict(row) for row in rows
-        ]
+        key, kind = _TABLES[role]
+        known[key] = kind.dump_python(tuple(rows), mode="json")
     texts = {"unit": unit, "preset": preset, "source": source}
     return {METADATA: {**known, **{name: words for name, words in texts.items() if words}}}
 
@@ -91,7 +90,7 @@ def tissue_record(layer: Any, materials: Iterable[Material]) -> dict[str, Any]:
     """
     known = metadata_of(layer)
     record = {"layer": str(layer.name), **({"unit": known["unit"]} if "unit" in known else {})}
-    rows = [material.as_row() for material in materials]
+    rows = MATERIALS.dump_python(tuple(materials), mode="json")
     return {**record, "materials": rows} if rows else record
 
 
@@ -102,8 +101,8 @@ def tissue_recorded(layer: Any) -> tuple[tuple[Material, ...] | None, str]:
     """
     try:
         record = metadata_of(layer)["solution"].provenance.parameters["tissue"]
-        return materials_of(record["materials"]), str(record.get("unit", ""))
-    except (KeyError, TypeError, AttributeError, ValueError, OverflowError):
+        return MATERIALS.validate_python(record["materials"]), str(record.get("unit", ""))
+    except (KeyError, TypeError, AttributeError, ValueError):
         return None, ""
 
 
@@ -121,13 +120,10 @@ def rows_of(layer: Any, role: Literal["boundary"]) -> tuple[BoundaryRule, ...]: 
 def rows_of(layer: Any, role: Role) -> tuple[Material | BoundaryRule, ...]: ...
 def rows_of(layer: Any, role: Role) -> tuple[Any, ...]:
     """Return the table rows in the metadata of a layer, or () if missing or invalid."""
-    key, row_type = _TABLES[role]
+    key, kind = _TABLES[role]
     try:
-        return tuple(
-            row_type(**{name: tuple(v) if isinstance(v, list) else v for name, v in row.items()})
-            for row in metadata_of(layer)[key]
-        )
-    except (KeyError, TypeError, AttributeError, ValueError):
+        return kind.validate_python(metadata_of(layer)[key])  # type: ignore[no-any-return]
+    except (KeyError, ValueError):
         return ()
 
 

@@ -26,6 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.arguments import is_whole, refuse_unless, require_flag
+from napari_hmrf.checks import POISSON_RANGE
 from napari_hmrf.errors import Cancelled, ConvergenceError, ProblemError
 from napari_hmrf.posterior.field_data import FieldData
 from napari_hmrf.posterior.pair_data import ImagePairData
@@ -36,7 +37,6 @@ from napari_hmrf.registration.matching import Images, schedule
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.optimizers import Monitor, Multigrid
 from napari_hmrf.solver.priors import Elastic, ElasticPrior, NeoHookeanPrior, Prior
-from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.solver.problem import Problem, as_numbers, variant_of
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, check_arguments, solve

@@ -11,8 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf import array_file
+from napari_hmrf.checks import POISSON_RANGE
 from napari_hmrf.solver.priors import Elastic, ElasticPrior, NeoHookeanPrior
-from napari_hmrf.solver.priors.elastic import POISSON_RANGE, Plane
+from napari_hmrf.solver.priors.elastic import Plane
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.real_arrays import FloatArray
 

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.arguments import reals, shown
+from napari_hmrf.checks import LARGEST_GROWTH
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.followers import followers_of
 from napari_hmrf.solver.neighbours import sites_of_elements
@@ -25,8 +26,6 @@ _ASYMMETRY = 1e-5
 # Relative difference up to which pixel sizes count as equal, because files often round them.
 _SAME_SPACING = 1e-4
 _AXES = 3
-#: Largest growth, as a strain; larger values were probably given in per cent.
-LARGEST_GROWTH = 10.0
 
 
 class Loads:

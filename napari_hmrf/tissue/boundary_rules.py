@@ -8,17 +8,30 @@ tables of materials and rules belong to integer label images, such as napari's L
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence, Sized
-from dataclasses import KW_ONLY, asdict, dataclass, replace
-from typing import Any, Literal, get_args
+from collections.abc import Iterable, Sequence
+from dataclasses import KW_ONLY, replace
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import TypeAdapter
 
-from napari_hmrf.arguments import is_one_of, is_whole, real, reals, refuse_unless, shown
+from napari_hmrf.arguments import refuse_unless
+from napari_hmrf.checks import (
+    Choice,
+    Flag,
+    Growth,
+    Number,
+    Painted,
+    Poisson,
+    Shares,
+    Stiffness,
+    Text,
+    Vector,
+    Whole,
+    checked,
+)
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.loads import LARGEST_GROWTH
-from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.solver.problem import FloatArray, checked_spacing, whole_numbers
 from napari_hmrf.solver.sliding_parts import SlidingParts
 from napari_hmrf.tissue.normals import outward_normals
@@ -28,8 +41,6 @@ Action = Literal["fixed", "move", "expand", "press", "pull", "slide", "remove"]
 FORCES: tuple[Action, ...] = "press", "pull"
 #: Actions that neither observe a displacement nor apply a force.
 _UNOBSERVED: tuple[Action, ...] = "slide", "remove"
-#: Growth strain: one number for all directions, or one number for each axis of the image.
-Growth = float | tuple[float, ...]
 
 #: Default Poisson's ratio of soft tissue.
 USUAL_POISSON = 0.45
@@ -40,11 +51,9 @@ _RIGID = "rigid"
 UNPAINTED = "everything unpainted"
 #: Stiffness of a new tissue if there is no deformable tissue to copy.
 _STIFFNESS = 20.0
-#: Largest value in single precision; a larger stiffness would become infinite, that is, rigid.
-LARGEST_STIFFNESS = float(np.finfo(np.float32).max)
 
 
-@dataclass(frozen=True)
+@checked
 class Material:
     """Material of a tissue label.
 
@@ -73,64 +82,34 @@ class Material:
 
     Raises
     ------
-    ProblemError
-        If the stiffness is below 0, NaN or a string; if the Poisson's ratio of tissue is out of
-        range; or if the growth is not a number.
     ArgumentError
-        If the label is not a whole number, or `slides` is neither True nor False.
+        If a value is invalid; the message states valid values.
     """
 
-    label: int
-    name: str
-    stiffness: float
-    poisson: float = USUAL_POISSON
+    label: Whole
+    name: Text
+    stiffness: Stiffness
+    poisson: Poisson = USUAL_POISSON
     growth: Growth = 0.0
-    slides: bool = False
-
-    def __post_init__(self) -> None:
-        stiffness: Any = self.stiffness
-        if not real(stiffness) >= 0:
-            raise _wrong_stiffness(self)
-        refuse_unless(is_whole(self.label), "label", self.label, "a whole number, such as 1")
-        is_flag = isinstance(self.slides, bool | np.bool_)
-        refuse_unless(is_flag, "slides", self.slides, "True or False")
-        object.__setattr__(self, "slides", bool(self.slides))
-        if not all(math.isfinite(real(part)) for part in np.atleast_1d(self.growth).tolist()):
-            raise ProblemError(
-                "growth",
-                f"gives {quoted(self)} a growth of {shown(self.growth)}. Use a number, such as "
-                "0.2 for 20 %, or a number for each axis.",
-            )
-        if self.is_deformable and not _has_poisson(self):
-            raise _wrong_poisson(self)
+    slides: Flag = False
 
     @property
     def is_rigid(self) -> bool:
         """True if the material moves as a rigid body."""
-        return real(self.stiffness) == RIGID
+        return self.stiffness == RIGID
 
     @property
     def is_deformable(self) -> bool:
         """True if the material is tissue that can deform: neither void nor rigid."""
-        return 0 < real(self.stiffness) < RIGID
+        return 0 < self.stiffness < RIGID
 
     @property
     def grows(self) -> bool:
         """True if the material has growth or shrinkage."""
         return self.is_deformable and bool(np.any(self.growth))
 
-    def as_row(self) -> dict[str, Any]:
-        """Convert the material to JSON types; an infinite stiffness becomes "rigid"."""
-        row = asdict(self)
-        return {**row, "stiffness": _RIGID} if self.is_rigid else row
 
-    @classmethod
-    def of_row(cls, **row: Any) -> Material:
-        """Create a material from a row that `as_row` returned."""
-        return cls(**{**row, "stiffness": read_stiffness(row["stiffness"])})
-
-
-@dataclass(frozen=True)
+@checked
 class BoundaryRule:
     """Boundary condition of a boundary label.
 
@@ -163,28 +142,22 @@ class BoundaryRule:
 
     Raises
     ------
-    ProblemError
-        If a component of the vector or the amount is not a finite number, or a confidence is not
-        from 0 to 1.
     ArgumentError
-        If the action is unknown, or the label is not a whole number above 0.
+        If a value is invalid; the message states valid values.
     """
 
-    label: int
-    action: Action
+    label: Painted
+    action: Annotated[Action, Choice()]
     _: KW_ONLY
-    vector: tuple[float, ...] = (0.0, 0.0)
-    amount: float = 0.0
-    confidence: tuple[float, ...] = (1.0, 1.0)
-    name: str = ""
+    vector: Vector = (0.0, 0.0)
+    amount: Number = 0.0
+    confidence: Shares = (1.0, 1.0)
+    name: Text = ""
 
-    def __post_init__(self) -> None:
-        actions = get_args(Action)
-        requirement = f"one of {', '.join(map(repr, actions))}"
-        refuse_unless(is_one_of(self.action, actions), "action", self.action, requirement)
-        is_label = is_whole(self.label) and self.label > 0
-        refuse_unless(is_label, "label", self.label, "a whole number above 0, such as 1")
-        _check_components(self, 3)
+
+#: Conversion of the rows of tables from and to JSON types, in which rigid tissue is "rigid".
+MATERIALS = TypeAdapter(tuple[Material, ...])
+RULES = TypeAdapter(tuple[BoundaryRule, ...])
 
 
 def default_material(label: int, known: Iterable[Material]) -> Material:
@@ -241,17 +214,6 @@ def default_rule(label: int) -> BoundaryRule:
     return BoundaryRule(label, "fixed", name=f"boundary {label}")
 
 
-def is_growth(strain: Any) -> bool:
-    """Return whether a growth strain is valid: above -1 and up to `LARGEST_GROWTH`."""
-    return -1 < real(strain) <= LARGEST_GROWTH
-
-
-def read_stiffness(value: Any) -> Any:
-    """Convert the word "rigid", in any case, to `RIGID`; return any other value unchanged."""
-    is_word = isinstance(value, str) and value.strip().casefold() == _RIGID
-    return RIGID if is_word else value
-
-
 def stiffness_in_words(stiffness: float, unit: str = "") -> str:
     """Format a stiffness for display: "20 kPa", or "rigid"."""
     return _RIGID if stiffness == RIGID else f"{stiffness:g} {unit}".rstrip()
@@ -275,14 +237,9 @@ def stiffness_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> Flo
     Raises
     ------
     ProblemError
-        If a label does not have exactly one material, or if a stiffness is neither `RIGID` nor a
-        number from 0 to `LARGEST_STIFFNESS`.
+        If a label does not have exactly one material.
     """
     image, present, table = _read("stiffness", "materials", Material, labels, materials)
-    for material in table.values():
-        stiffness = real(material.stiffness)
-        if not (0 <= stiffness <= LARGEST_STIFFNESS or stiffness == RIGID):
-            raise _wrong_stiffness(material)
     return _at_labels(image, present, [table[int(label)].stiffness for label in present])
 
 
@@ -303,16 +260,13 @@ def poisson_image(labels: npt.ArrayLike, materials: Iterable[Material]) -> float
     Raises
     ------
     ProblemError
-        If a label does not have exactly one material, or if a tissue's ratio is out of range.
+        If a label does not have exactly one material.
     """
     image, present, table = _read("stiffness", "materials", Material, labels, materials)
     rows = [table[int(label)] for label in present]
     tissues = [material for material in rows if material.is_deformable]
-    for material in tissues:
-        if not _has_poisson(material):
-            raise _wrong_poisson(material)
     if len({material.poisson for material in tissues}) <= 1:
-        return float(tissues[0].poisson) if tissues else USUAL_POISSON
+        return tissues[0].poisson if tissues else USUAL_POISSON
     values = [material.poisson if material.is_deformable else 0.0 for material in rows]
     return _at_labels(image, present, values)
 
@@ -351,14 +305,19 @@ def boundary_images(
     Raises
     ------
     ProblemError
-        If a label does not have exactly one rule, if a number in a rule is out of range, or if an
-        expanding label is an open line, which has no interior.
+        If a label does not have exactly one rule, if a rule has more components than the image has
+        axes, or if an expanding label is an open line, which has no interior.
     """
     image, present, table = _read("observed", "rules", BoundaryRule, labels, rules)
     n = image.ndim
     sizes = checked_spacing(spacing, n)
     for rule in table.values():
-        _check_components(rule, n)
+        for name, values in (("vector", rule.vector), ("confidence", rule.confidence)):
+            if len(values) > n:
+                raise ProblemError(
+                    "observed",
+                    f"has a rule for {quoted(rule)} with the {name} {values}. Use (row, col).",
+                )
     y = np.zeros((*image.shape, n), dtype=np.float32)
     c = np.zeros_like(y)
     for label in present:
@@ -404,58 +363,6 @@ def _read(
             f"{', '.join(missing[:10])}. Add each label to the table, or erase its pixels.",
         )
     return image, present, table
-
-
-def _check_components(rule: BoundaryRule, n: int) -> None:
-    """Raise an error if the numbers of a rule are invalid for an image with `n` axes.
-
-    Raises
-    ------
-    ProblemError
-    """
-    vector, confidence = (
-        reals(given, 3 if n == 3 and isinstance(given, Sized) and len(given) == 3 else 2)
-        for given in (rule.vector, rule.confidence)
-    )
-    each = "(row, col)" if n == 2 else "(row, col) or (plane, row, col)"
-    in_range = all(0 <= value <= 1 for value in confidence)
-    for name, right, needed in (
-        ("vector", all(map(math.isfinite, vector)), f"a number for each of {each}"),
-        ("amount", math.isfinite(real(rule.amount)), "a number"),
-        ("confidence", in_range, f"a value from 0 to 1 for each of {each}"),
-    ):
-        if not right:
-            raise ProblemError(
-                "confidence" if name == "confidence" else "observed",
-                f"has a rule for {quoted(rule)} with the {name} {shown(getattr(rule, name))}. Use "
-                f"{needed}.",
-            )
-
-
-def _wrong_stiffness(material: Material) -> ProblemError:
-    """Return the error for an invalid stiffness."""
-    return ProblemError(
-        "stiffness",
-        f"gives {quoted(material)} a stiffness of {shown(material.stiffness)}. Use a number above "
-        f"0 (up to {LARGEST_STIFFNESS:.2g}), 0 where there is no tissue, or infinity for a rigid "
-        "body (`RIGID`).",
-    )
-
-
-def _has_poisson(material: Material) -> bool:
-    """Return whether the Poisson's ratio of a material is in range."""
-    low, high = POISSON_RANGE
-    return low <= real(material.poisson) <= high
-
-
-def _wrong_poisson(material: Material) -> ProblemError:
-    """Return the error for an invalid Poisson's ratio."""
-    low, high = POISSON_RANGE
-    return ProblemError(
-        "stiffness",
-        f"gives {quoted(material)} a Poisson's ratio of {shown(material.poisson)}. Use a "
-        f"number from {low:g} to {high:g}.",
-    )
 
 
 def quoted(row: Material | BoundaryRule) -> str:

@@ -9,12 +9,11 @@ from operator import add
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.arguments import real, reals, shown
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.body_forces import pressure, traction
 from napari_hmrf.solver.loads import Loads, growth
 from napari_hmrf.solver.problem import FloatArray
-from napari_hmrf.tissue.boundary_rules import FORCES, BoundaryRule, Material, is_growth, quoted
+from napari_hmrf.tissue.boundary_rules import FORCES, BoundaryRule, Material, quoted
 
 
 def growth_loads(labels: npt.ArrayLike, materials: Iterable[Material]) -> Loads | None:
@@ -35,23 +34,24 @@ def growth_loads(labels: npt.ArrayLike, materials: Iterable[Material]) -> Loads 
     Raises
     ------
     ProblemError
-        If a growth is neither a number above -1 and up to 10, nor such a number for each axis.
+        If a growth does not have one number for each axis of the image.
     """
     image, parts = np.asarray(labels), []
     for material in materials:
         mask = image == material.label
         if not (material.grows and mask.any()):
             continue
-        along = np.ndim(material.growth) > 0
-        amounts = reals(material.growth, image.ndim) if along else (real(material.growth),)
-        if not all(map(is_growth, amounts)):
+        if not isinstance(material.growth, tuple):
+            parts.append(growth(material.growth * mask))
+            continue
+        if len(material.growth) != image.ndim:
             raise ProblemError(
                 "stiffness",
-                f"gives {quoted(material)} a growth of {shown(material.growth)}. Use a number "
-                f"above -1, up to 10 (0.1: 10 % longer), or {image.ndim} numbers, one per axis.",
+                f"gives {quoted(material)} a growth of {material.growth}. Use {image.ndim} "
+                "numbers, one per axis.",
             )
-        axes = np.eye(image.ndim) if along else [None]
-        parts += [growth(part * mask, along=axis) for part, axis in zip(amounts, axes, strict=True)]
+        axes = zip(material.growth, np.eye(image.ndim), strict=True)
+        parts += [growth(part * mask, along=axis) for part, axis in axes]
     return reduce(add, parts) if parts else None
 
 

@@ -17,9 +17,9 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.arguments import is_one_of, real, reals, shown
+from napari_hmrf.checks import LARGEST_STIFFNESS
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.problem import FloatArray, as_numbers
-from napari_hmrf.tissue.boundary_rules import LARGEST_STIFFNESS
 from napari_hmrf.tissue.surroundings import void_threshold
 
 Between = Literal["straight", "smooth"]

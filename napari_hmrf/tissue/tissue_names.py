@@ -17,15 +17,16 @@ from functools import cache
 from typing import NamedTuple
 
 from napari_hmrf.arguments import is_whole, refuse_unless, require_kind
+from napari_hmrf.checks import Poisson, Stiffness, Text, checked
 from napari_hmrf.resources import resource_folder
-from napari_hmrf.tissue.boundary_rules import Material, read_stiffness, with_motion_of
+from napari_hmrf.tissue.boundary_rules import Material, with_motion_of
 
 _Words = tuple[str, ...]
 #: Largest number of labels that a sentence lists.
 _FEW = 6
 
 
-@dataclass(frozen=True)
+@checked
 class KnownTissue:
     """Tissue with a published stiffness.
 
@@ -40,10 +41,10 @@ class KnownTissue:
         Source of the values, and a remark if they were converted.
     """
 
-    name: str
-    stiffness: float
-    poisson: float
-    source: str
+    name: Text
+    stiffness: Stiffness
+    poisson: Poisson
+    source: Text
 
     def __repr__(self) -> str:
         return (
@@ -238,7 +239,6 @@ def _rules() -> _Rules:
     content = json.loads(file.read_text(encoding="utf-8"))
     tissues: dict[_Words, KnownTissue] = {}
     for row in content["tissues"]:
-        stiffness = read_stiffness(row["stiffness"])
-        tissue = KnownTissue(row["name"], stiffness, row["poisson"], row["source"])
+        tissue = KnownTissue(row["name"], row["stiffness"], row["poisson"], row["source"])
         tissues |= {_words(name): tissue for name in row["names"]}
     return _Rules(content["unit"], frozenset(map(_words, content["doubts"])), tissues)

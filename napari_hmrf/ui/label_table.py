@@ -358,7 +358,10 @@ class LabelTable(QTableWidget, Generic[Row]):
         try:
             after = column.typed(row, item.text().strip())
         except ValueError as error:
-            self.refusal.emit(f"{error}. The value is still {column.shown(row)}.")
+            reason = str(error)
+            self.refusal.emit(
+                f"{reason[0].upper()}{reason[1:]}. The value is still {column.shown(row)}."
+            )
             after = row
         if after == row:
             self._fill()

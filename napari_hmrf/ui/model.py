@@ -17,9 +17,9 @@ from qtpy.QtCore import QSize
 from qtpy.QtGui import QIcon
 from qtpy.QtWidgets import QRadioButton
 
+from napari_hmrf.checks import POISSON_RANGE
 from napari_hmrf.solver.model_advice import ABOUT_POISSON, when_to_take
 from napari_hmrf.solver.model_names import ELASTIC
-from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.solver.uncertain_landmarks import StrainScale
 from napari_hmrf.study.models import SolverDetails, detail_names
 from napari_hmrf.study.session import ModelChoice

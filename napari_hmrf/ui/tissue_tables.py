@@ -25,22 +25,17 @@ from napari_hmrf.io.segmentation_tables import ENDINGS, tissue_table
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, table_of, tissue_recorded
 from napari_hmrf.notes import Note
 from napari_hmrf.solver.model_advice import ABOUT_POISSON
-from napari_hmrf.solver.priors.elastic import POISSON_RANGE
 from napari_hmrf.tissue.boundary_rules import (
     FORCES,
-    LARGEST_STIFFNESS,
-    RIGID,
     Action,
     BoundaryRule,
     Material,
     default_material,
     default_rule,
-    is_growth,
-    read_stiffness,
     stiffness_in_words,
 )
 from napari_hmrf.tissue.material_presets import PLAIN, PRESETS, Preset
-from napari_hmrf.tissue.row_table import RowTable
+from napari_hmrf.tissue.row_table import Row, RowTable
 from napari_hmrf.tissue.tissue_names import NamedMaterials
 from napari_hmrf.ui.forms import add_entry, attempt, give_menu, number_of
 from napari_hmrf.ui.label_table import Column, LabelTable
@@ -82,13 +77,13 @@ class MaterialTable(LabelTable[Material]):
                 "'rigid': a rigid body, such as bone, in the elastic model.\n"
                 "Label 0: all pixels that are not painted.",
                 lambda row: stiffness_in_words(row.stiffness),
-                _stiffness,
+                _typed("stiffness"),
             ),
             Column(
                 "Poisson's\nratio",
                 f"{ABOUT_POISSON}\nThe paper's model does not use this ratio.",
                 lambda row: f"{row.poisson:g}" if row.is_deformable else "",
-                _poisson,
+                _typed("poisson"),
             ),
             Column(
                 "grows\n%",
@@ -124,20 +119,14 @@ def _stiffness_title(unit: str, rows: Iterable[Material]) -> str:
     return f"Stiffness\n({unit or ('x normal' if is_ratio else 'relative')})"
 
 
-def _stiffness(material: Material, text: str) -> Material:
-    if text.casefold() == "inf" or read_stiffness(text) == RIGID:
-        return replace(material, stiffness=RIGID)
-    stiffness = number_of(text)
-    if not 0 <= stiffness <= LARGEST_STIFFNESS:
-        raise ValueError("Stiffness must be a non-negative number or 'rigid'")
-    return replace(material, stiffness=stiffness)
+def _typed(name: str) -> Callable[[Row, str], Row]:
+    """Return a function that sets the value of a row from text, with a decimal point or comma."""
 
+    def typed(row: Row, text: str) -> Row:
+        value: dict[str, Any] = {name: text.replace(",", ".")}
+        return replace(row, **value)
 
-def _poisson(material: Material, text: str) -> Material:
-    poisson, (low, high) = number_of(text), POISSON_RANGE
-    if not low <= poisson <= high:
-        raise ValueError(f"Poisson's ratio must be a number from {low:g} to {high:g}")
-    return replace(material, poisson=poisson)
+    return typed
 
 
 def _joined(parts: Iterable[float]) -> str:
@@ -146,12 +135,8 @@ def _joined(parts: Iterable[float]) -> str:
 
 
 def _growth(material: Material, text: str) -> Material:
-    parts = tuple(number_of(part) / 100 for part in text.split("/"))
-    if len(parts) > 3 or not all(map(is_growth, parts)):
-        raise ValueError(
-            "Growth must be above -100 % and at most 1000 %, or two such numbers: 20 / 0"
-        )
-    return replace(material, growth=parts if len(parts) > 1 else parts[0])
+    per_cent = (part if "%" in part else f"{part}%" for part in text.split("/"))
+    return _typed("growth")(material, "/".join(per_cent))
 
 
 class BoundaryTable(LabelTable[BoundaryRule]):
@@ -284,10 +269,8 @@ def _distance(
 
 
 def _confidence(rule: BoundaryRule, text: str) -> BoundaryRule:
-    parts = [number_of(part) for part in text.split("/")]
-    if len(parts) > 2 or not all(0 <= part <= 1 for part in parts):
-        raise ValueError("Confidence must be a number from 0 to 1, or two such numbers: 1 / 0.5")
-    return replace(rule, confidence=(parts[0], parts[-1]))
+    parts: Any = text.replace(",", ".").split("/")
+    return replace(rule, confidence=parts if len(parts) > 1 else parts * 2)
 
 
 def materials_of(layer: Any) -> Preset | None:

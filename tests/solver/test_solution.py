@@ -149,14 +149,6 @@ def test_a_single_spacing_applies_to_all_axes():
     assert np.allclose(total, 0, atol=1e-6)
 
 
-@pytest.mark.parametrize("stiffness", [-1.0, -np.inf])
-def test_a_material_with_negative_stiffness_is_rejected(stiffness):
-    said = rf"stiffness: gives label 3 \(liver\) a stiffness of {stiffness}\. Use a number above 0"
-    with pytest.raises(ProblemError, match=said):
-        Material(3, "liver", stiffness)
-    assert Material(3, "air", 0.0).stiffness == 0
-
-
 @pytest.mark.parametrize(
     ("unit", "spacing", "sizes", "far"),
     [

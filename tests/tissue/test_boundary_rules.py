@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from napari_hmrf.errors import ArgumentError, ProblemError
+from napari_hmrf.errors import ProblemError
 from napari_hmrf.tissue.boundary_rules import (
     BoundaryRule,
     Material,
@@ -60,16 +60,10 @@ def test_two_materials_for_a_label_are_refused():
         stiffness_image(np.ones((3, 3), int), [*TISSUES, Material(1, "again", 3.0)])
 
 
-@pytest.mark.parametrize("stiffness", [-1.0, np.nan, -np.inf, 1e39])
-def test_an_invalid_stiffness_is_refused_with_the_name_of_its_label(stiffness):
-    with pytest.raises(ProblemError, match=r"label 1 \(gel\)"):
-        stiffness_image(np.ones((3, 3), int), [Material(1, "gel", stiffness)])
-
-
 def test_a_rigid_material_is_infinitely_stiff_and_has_no_poisson_ratio():
     materials = [
-        Material(0, "air", 0.0, 7.0),
-        Material(1, "bone", np.inf, 7.0),
+        Material(0, "air", 0.0),
+        Material(1, "bone", np.inf),
         Material(2, "gel", 3.0, 0.3),
         Material(3, "fat", 2.0, 0.4),
     ]
@@ -246,45 +240,10 @@ def test_an_error_names_boundary_labels_without_a_rule():
         boundary_images(np.array([[4, 0]]), [BoundaryRule(1, "fixed")], spacing=1)
 
 
-@pytest.mark.parametrize(
-    ("action", "numbers", "field", "said"),
-    [
-        (
-            "move",
-            {"vector": (np.nan, 0), "name": "rim"},
-            "observed",
-            "label 1 (rim) with the vector (nan, 0). Use a number for each of (row, col)",
-        ),
-        ("move", {"vector": 3}, "observed", "with the vector 3. Use a number for"),
-        ("move", {"vector": "ab"}, "observed", "with the vector 'ab'. Use a number for"),
-        ("expand", {"amount": np.inf}, "observed", "the amount inf. Use a number."),
-        ("fixed", {"confidence": (1.0, 1.5)}, "confidence", "confidence (1.0, 1.5). "),
-        ("fixed", {"confidence": (-0.1, 1.0)}, "confidence", "a value from 0 to 1 for"),
-    ],
-)
-def test_rules_out_of_range_are_refused_with_a_reason(action, numbers, field, said):
-    with pytest.raises(ProblemError) as caught:
-        BoundaryRule(1, action, **numbers)
-    assert caught.value.field == field
-    assert "has a rule for label 1" in caught.value.message
-    assert said in caught.value.message
-
-
-@pytest.mark.parametrize("label", [0, -1, 1.5, "1"])
-def test_a_rule_for_a_label_that_cannot_be_painted_is_refused(label):
-    with pytest.raises(ArgumentError, match="label must be a whole number above 0"):
-        BoundaryRule(label, "fixed")
-
-
 def test_a_rule_with_three_components_is_refused_for_an_image():
     rule = BoundaryRule(1, "move", vector=(1, 2, 3))
-    with pytest.raises(ProblemError, match=r"the vector \(1, 2, 3\).*each of \(row, col\)\."):
+    with pytest.raises(ProblemError, match=r"the vector \(1.*\)\. Use \(row, col\)\."):
         boundary_images(np.ones((4, 4), int), [rule], spacing=1)
-
-
-def test_a_word_as_stiffness_is_refused_with_the_value_for_rigid_tissue():
-    with pytest.raises(ProblemError, match=r"'rigid'\. .* infinity for a rigid body \(`RIGID`\)"):
-        Material(1, "bone", "rigid")
 
 
 def test_every_preset_has_a_source_a_unit_and_valid_materials():
@@ -339,24 +298,3 @@ def test_each_pixel_has_the_stiffness_of_its_label(image):
 def test_labels_without_a_row_are_listed(image):
     labels = sorted({int(label) for label in image.flat})
     assert unlisted(image, [Material(label, "", 1) for label in labels[1:]]) == labels[:1]
-
-
-@pytest.mark.parametrize(
-    ("values", "error", "said"),
-    [
-        ({"stiffness": np.nan}, ProblemError, r"gives label 1 \(brain\) a stiffness of nan"),
-        ({"poisson": 0.6}, ProblemError, r"a Poisson's ratio of 0\.6. Use a number from 0 to"),
-        ({"growth": "20%"}, ProblemError, r"a growth of '20%'. Use a number, such as 0\.2 for 20"),
-        ({"growth": (0.1, np.nan)}, ProblemError, r"a growth of \(0\.1, nan\)"),
-        ({"label": "brain"}, ArgumentError, "label must be a whole number, such as 1, not 'brain'"),
-        ({"label": 1.5}, ArgumentError, "label must be a whole number"),
-    ],
-)
-def test_an_invalid_material_is_refused_at_construction(values, error, said):
-    with pytest.raises(error, match=said):
-        Material(**{"label": 1, "name": "brain", "stiffness": 1.0, **values})
-
-
-def test_void_and_rigid_materials_need_no_poisson_ratio():
-    assert Material(0, "air", 0.0, poisson=0.5).poisson == 0.5
-    assert Material(1, "bone", np.inf, poisson=0.5).is_rigid

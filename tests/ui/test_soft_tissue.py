@@ -192,8 +192,8 @@ def test_a_valid_stiffness_is_accepted_and_an_invalid_stiffness_is_reset(widget,
         Cell(table, 1, 2).write(nonsense)
         assert widget.materials[1].stiffness == 12.5
         assert Cell(table, 1, 2).text() == "12.5"
-        said = "Stiffness must be a non-negative number or 'rigid'. The value is still 12.5."
-        assert widget.status == said
+        assert widget.status.startswith("Stiffness must be a number from 0 to")
+        assert widget.status.endswith(f"not {nonsense!r}. The value is still 12.5.")
     Cell(table, 1, 1).write("jelly")
     assert widget.materials[1].name == "jelly"
 
@@ -230,10 +230,8 @@ def test_cells_of_a_boundary_depend_on_its_action(widget, small_sample):
     Cell(table, 1, 6).write("0.5 / 1")
     Cell(table, 1, 6).write("2")  # Out of range, so the value is reset.
     assert widget.rules[1].confidence == (0.5, 1.0)
-    assert widget.status == (
-        "Confidence must be a number from 0 to 1, or two such numbers: 1 / 0.5. "
-        "The value is still 0.5 / 1."
-    )
+    assert widget.status.startswith("Confidence must be numbers from 0 to 1")
+    assert widget.status.endswith("The value is still 0.5 / 1.")
     Cell(table, 1, 6).write("0.25")
     assert widget.rules[1].confidence == (0.25, 0.25)
     Cell(table, 1, 1).write("rim")

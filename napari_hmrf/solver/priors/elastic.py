@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.arguments import is_one_of, real, refuse_unless
+from napari_hmrf.checks import POISSON_RANGE
 from napari_hmrf.errors import ArgumentError, ProblemError
 from napari_hmrf.solver.data_term import DataTerm
 from napari_hmrf.solver.priors.elements import (
@@ -45,8 +46,6 @@ Plane = Literal["stress", "strain"]
 #: Default penalty K (eq. 19) of doubted observations. A force of 1 strains a pixel of the stiffest
 #: tissue by 1.
 DOUBTED_PENALTY = 1.0
-#: Range of Poisson's ratio in which tissue is stable and compressible.
-POISSON_RANGE = (0.0, 0.499)
 #: Range of penalties for which products of forces do not overflow or underflow.
 PENALTY_RANGE = (1e-30, 1e30)
 
