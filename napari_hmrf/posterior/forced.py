@@ -18,14 +18,14 @@ from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.base import Backend
 from napari_hmrf.solver.backends.earlier_results import WarmStart
-from napari_hmrf.solver.backends.linear import LinearModel, Planes
+from napari_hmrf.solver.backends.linear import Planes
 from napari_hmrf.solver.optimizers import Multigrid
 from napari_hmrf.solver.optimizers.base import Convergence, LevelRun, Outcome, Report
-from napari_hmrf.solver.optimizers.cycle import BENDING, smoothing_of
+from napari_hmrf.solver.optimizers.cycle import smoothing_of
 from napari_hmrf.solver.optimizers.loading import work_of
 from napari_hmrf.solver.optimizers.multigrid import is_firm
 from napari_hmrf.solver.optimizers.refinement import Refinement
-from napari_hmrf.solver.priors import ElasticPrior, Prior, SeilerPrior
+from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.problem import Problem
 
 #: Largest number of runs until the tolerance agrees with the size of the displacements.
@@ -39,8 +39,8 @@ _TINY = 1e-300
 class ForcedMultigrid(Multigrid):
     """Multigrid for exactly held sites and a force on each site.
 
-    It solves `ElasticPrior` without slipping observations, and the blanket reading of
-    `SeilerPrior`. Displacements may have any size: they are not compared with the image.
+    It solves `ElasticPrior` without slipping observations. Displacements may have any size: they
+    are not compared with the image.
 
     Parameters
     ----------
@@ -71,14 +71,10 @@ class ForcedMultigrid(Multigrid):
     ) -> Outcome:
         """Solve for the equilibrium of the tissue with the force."""
         d, held = host.prescribed(problem)
-        model: LinearModel
-        if isinstance(prior, SeilerPrior):
-            model, smoothing, firm = backend.seiler_model(prior.material(problem)), BENDING, True
-        else:
-            assert isinstance(prior, ElasticPrior)
-            material = prior.material(problem)
-            model, smoothing = backend.elastic_model(material), smoothing_of(material)
-            firm = is_firm(problem)
+        assert isinstance(prior, ElasticPrior)
+        material = prior.material(problem)
+        model = backend.elastic_model(material)
+        smoothing, firm = smoothing_of(material), is_firm(problem)
         refinement = Refinement(self.max_iterations, model, smoothing, report, firm)
         try:
             model.hold(held)

@@ -10,13 +10,12 @@ import numpy.typing as npt
 
 from napari_hmrf.arguments import is_whole, refuse_unless
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.posterior.blanket import blanket_samples
 from napari_hmrf.posterior.noise import PosteriorNoise
 from napari_hmrf.posterior.response import Response
 from napari_hmrf.posterior.tissue_box import TissueBox
 from napari_hmrf.solver.connected import connected
 from napari_hmrf.solver.optimizers import Monitor
-from napari_hmrf.solver.priors import ElasticPrior, Prior, SeilerPrior
+from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.rigid_modes import check_held
 from napari_hmrf.solver.sliding_parts import refuse_sliding
@@ -65,9 +64,8 @@ def sample_posterior(
     ----------
     problem : Problem
         Problem without doubted observations (a confidence between 0 and 1) and without a drift.
-    prior : ElasticPrior or SeilerPrior, optional
-        By default elastic tissue, as for `solve`. The paper's model must have the blanket reading
-        and no penalty, and its sites are held exactly; the centred reading has no energy.
+    prior : ElasticPrior, optional
+        By default elastic tissue, as for `solve`.
     n : int
         Number of samples.
     scale : StrainScale, optional
@@ -95,9 +93,8 @@ def sample_posterior(
     ArgumentError
         If an argument is invalid.
     ProblemError
-        If the posterior is not a normal distribution (doubted observations, large motion, the
-        paper's model in its centred reading), if it is not implemented (drift), or if tissue can
-        move freely.
+        If the posterior is not a normal distribution (doubted observations, large motion), if it is
+        not implemented (the paper's model, drift), or if tissue can move freely.
     Cancelled
         If `cancel` was set.
 
@@ -108,8 +105,6 @@ def sample_posterior(
     check_arguments(problem=problem, prior=prior, backend=backend, progress=progress, cancel=cancel)
     refuse_unless(is_whole(n) and n >= 1, "n", n, "a number of samples, 1 or more")
     refuse_unless(is_whole(seed) and seed >= 0, "seed", seed, "a whole number, 0 or more")
-    if isinstance(prior, SeilerPrior):
-        return blanket_samples(problem, prior, n, scale, seed, backend, progress, cancel)
     elastic = checked_prior(problem, prior)
     energy = energy_of(problem, scale)
 
