@@ -12,15 +12,13 @@
 `study_uncertainty` does the same for a study, and `sample_posterior` returns whole fields.
 `fit_scale` finds the typical strain from landmarks, and `check_agreement` tests whether landmarks
 agree with the model. `fit` finds the growth and the stiffness of tissue from its measured motion or
-from two images, `fit_study` those of the tissues of a study, and `stiffness_map` the stiffness of
-each site.
+from two images, and `fit_study` those of the tissues of a study.
 """
 
 from napari_hmrf.posterior.agreement import Agreement, check_agreement
 from napari_hmrf.posterior.fit import Fit, FittedProperty, fit
 from napari_hmrf.posterior.sampling import sample_posterior
 from napari_hmrf.posterior.scale_fit import ScaleFit, fit_scale
-from napari_hmrf.posterior.stiffness_map import StiffnessMap, stiffness_map
 from napari_hmrf.posterior.study_fit import StudyFit, fit_study
 from napari_hmrf.posterior.study_uncertainty import study_uncertainty
 from napari_hmrf.posterior.uncertainty import MeanDisplacement, Uncertainty, uncertainty
@@ -31,7 +29,6 @@ __all__ = [
     "FittedProperty",
     "MeanDisplacement",
     "ScaleFit",
-    "StiffnessMap",
     "StudyFit",
     "Uncertainty",
     "check_agreement",
@@ -39,7 +36,6 @@ __all__ = [
     "fit_scale",
     "fit_study",
     "sample_posterior",
-    "stiffness_map",
     "study_uncertainty",
     "uncertainty",
 ]

@@ -117,12 +117,6 @@ class FieldData:
         misfit = float(differences @ differences) / freedom
         return np.asarray(np.linalg.inv(slopes.T @ slopes) * max(1.0, misfit))
 
-    def pull(self, differences: Float64Array, field: npt.NDArray[Any]) -> Float64Array:
-        """Return the forces on sites that are the transpose of `derivative`, without landmarks."""
-        forces = np.zeros(field.shape)
-        forces[self._seen] = differences / self._sd
-        return forces
-
     def tolerance(self, problem: Problem) -> float:
         """Return the tolerance of a solve, in pixels, at which its error is negligible."""
         low, high = _TOLERANCES

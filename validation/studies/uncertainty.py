@@ -1,4 +1,4 @@
-"""Uncertainty beside dense posteriors, coverage of intervals, fits, and maps of stiffness.
+"""Uncertainty beside dense posteriors, coverage of intervals, and fits.
 
 The true motion of random tissue is drawn from a matrix that scikit-fem assembled. `brain` times
 `uncertainty` for an MRI of a brain without its skull (``--files t1.nii.gz``), or for an ellipsoid
@@ -24,7 +24,7 @@ from napari_hmrf import ElasticPrior, Problem, solve
 from napari_hmrf.io.images import read_image
 from napari_hmrf.landmarks import Landmarks, StrainScale
 from napari_hmrf.loads import growth
-from napari_hmrf.posterior import fit, sample_posterior, stiffness_map, uncertainty
+from napari_hmrf.posterior import fit, sample_posterior, uncertainty
 from napari_hmrf.posterior.agreement import agreement_in
 from napari_hmrf.posterior.data_space import DataSpace, data_space
 from napari_hmrf.posterior.noise import PosteriorNoise
@@ -448,41 +448,6 @@ def fits(seed: int) -> dict[str, list[tuple[float, bool]]]:
             within = value.interval[0] < truth < value.interval[1]
             errors[kind].append((abs(value.value / truth - 1), within))
     return errors
-
-
-_MAP_TITLES = ("seed", "contrast (3 in truth)", "outline: mean, largest distance (px)", "pieces")
-
-
-@study("uncertainty.maps", numbered(10), _MAP_TITLES, page=_PAGE)
-def maps(seed: int) -> list[Any]:
-    """Compare two inclusions in maps of the stiffness with the true ones."""
-    size, prior = 64, ElasticPrior(0.3)
-    rows, cols = np.indices((size, size))
-    ends = (-2.0, 0.0)
-    rng = np.random.default_rng(seed)
-    inside = np.zeros((size, size), bool)
-    for row, col in ((22, 20), (42, 44)):
-        middle = rng.uniform(-3, 3, 2) + np.array((row, col))
-        inside |= np.hypot(rows - middle[0], cols - middle[1]) < rng.uniform(7, 10)
-    field = direct_solution(between_plates(np.where(inside, 3.0, 1.0), ends), _TRUTH)
-    seen, sd = noisy(field, 0.05, rng)
-    guess = between_plates(np.ones((size, size)), ends)
-    found = stiffness_map(guess, seen, sd=sd, prior=prior, backend="cpu")
-    ratios = found.stiffness / np.median(found.stiffness[~inside])
-    stiff = ratios > np.sqrt(3)
-    distances = []
-    for one, other in ((stiff, inside), (inside, stiff)):
-        away = scipy.ndimage.distance_transform_edt(~_outline(other))
-        distances.append(away[_outline(one)])
-    apart = np.concatenate(distances)
-    pieces = scipy.ndimage.label(stiff)[1]
-    outline = f"{apart.mean():.2f}, {apart.max():.1f}"
-    return [seed, f"{np.median(ratios[inside]):.2f}", outline, pieces]
-
-
-def _outline(mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """Return the outermost pixels of a mask."""
-    return np.asarray(mask & ~scipy.ndimage.binary_erosion(mask))
 
 
 # Accuracy of a sample.
