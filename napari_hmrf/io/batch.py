@@ -8,7 +8,6 @@ partial results, and resumed later. Only one process at a time can use the outpu
 
 from __future__ import annotations
 
-import json
 import logging
 import multiprocessing
 import os
@@ -17,13 +16,14 @@ import shutil
 import signal
 import sys
 import time
-from collections import deque
-from collections.abc import Callable, Generator, Sequence
-from contextlib import ExitStack, suppress
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
 from functools import cache, partial
-from multiprocessing.connection import Connection, wait
+from multiprocessing.connection import Connection
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
 
 import numpy as np
@@ -39,6 +39,7 @@ from napari_hmrf.io.case import SolvedCase, solve_case
 from napari_hmrf.io.case_records import (
     RECORD,
     CaseOutcome,
+    CaseRecord,
     fingerprints,
     finished_cases,
     leftovers,
@@ -56,10 +57,11 @@ UNFINISHED = ".unfinished"
 SUMMARY = "summary.csv"
 #: Shortest time between two updates of the summary while the batch is running, in seconds.
 _SUMMARY_INTERVAL = 5.0
-#: Number of most recent cases over which the time per case is averaged.
-_AVERAGED_CASES = 20
 #: Number of significant digits of the values in the summary.
 _DIGITS = 6
+#: Function that solves a case, and function that submits a case to a worker.
+_Solve = Callable[[NamedCase], CaseOutcome]
+_Submit = Callable[[NamedCase], Future[CaseOutcome]]
 #: Environment variables that limit the threads of libraries.
 _THREAD_VARIABLES = "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"
 
@@ -73,7 +75,7 @@ class BatchProgress:
     done, failed, of : int
         Numbers of solved cases, failed cases and all cases.
     seconds_left : float, optional
-        Estimated remaining time, in seconds; None until enough cases are finished.
+        Estimated remaining time, in seconds, if a case is finished.
     latest_outcome : CaseOutcome, optional
         Outcome of the most recently finished case.
     """
@@ -167,17 +169,19 @@ def solve_cases(
         todo = [case for case in cases if case.name not in finished]
         solve_one = partial(solve_into, folder=target, backend=backend)
         batch = _Batch(cases, finished, target)
-        if client is None:
-            outcomes = _solve_in_processes(todo, solve_one, jobs or _cores())
-        else:
-            outcomes = _solve_on_cluster(todo, solve_one, client)
+        workers = (
+            _processes(solve_one, min(jobs or _cores(), len(todo)))
+            if client is None
+            else _cluster_workers(solve_one, client)
+        )
         try:
-            for outcome in outcomes:
-                state = batch.record(outcome)
-                if progress is not None:
-                    progress(state)
+            with workers as submit:
+                futures = {submit(case): case for case in todo}
+                for future in as_completed(futures):
+                    state = batch.record(_outcome(futures[future], future))
+                    if progress is not None:
+                        progress(state)
         finally:
-            outcomes.close()
             shutil.rmtree(target / UNFINISHED, ignore_errors=True)
             batch.write()
     return batch.outcomes
@@ -191,10 +195,14 @@ def solve_into(case: NamedCase, folder: Path, backend: str = "cpu") -> CaseOutco
     try:
         inputs = fingerprints(case)  # before reading the files, so that later changes are detected
         solved = solve_case(case.case, unfinished, backend=backend, changes=case.changes)
-        outcome = _outcome_of(case.name, solved, _seconds_since(started))
-        record = {"cells": dict(case.cells), "outcome": asdict(outcome), "inputs": inputs}
-        record["outputs"] = output_digests(unfinished)
-        write_whole(unfinished / RECORD, json.dumps(record, indent=2).encode())
+        outcome = _done(case.name, solved, _seconds_since(started))
+        record = CaseRecord(
+            cells=dict(case.cells),
+            outcome=outcome,
+            inputs=inputs,
+            outputs=output_digests(unfinished),
+        )
+        write_whole(unfinished / RECORD, record.model_dump_json(indent=2).encode())
         _publish(unfinished, folder / case.name)
     except Exception as error:  # noqa: BLE001 - a failed case must not stop the batch
         message = in_words(error)
@@ -230,7 +238,7 @@ def _in_digits(value: Any) -> Any:
     return float(f"{value:.{_DIGITS}g}") if isinstance(value, float) else value
 
 
-def _outcome_of(name: str, solved: SolvedCase, seconds: float) -> CaseOutcome:
+def _done(name: str, solved: SolvedCase, seconds: float) -> CaseOutcome:
     solution = solved.solution
     return CaseOutcome(
         name,
@@ -264,9 +272,8 @@ class _Batch:
         }
         self._folder = folder
         self._parameters = {case.name: case.parameters for case in cases}
-        self._todo = len(cases) - len(finished)
-        self._finish_times: list[float] = []
-        self._last_write = time.monotonic()
+        self._finished_before = len(finished)
+        self._started = self._last_write = time.monotonic()
 
     @property
     def outcomes(self) -> tuple[CaseOutcome, ...]:
@@ -276,24 +283,14 @@ class _Batch:
         """Record the outcome of a case, and update the summary file at intervals."""
         self._outcomes[outcome.case] = outcome
         now = time.monotonic()
-        self._finish_times.append(now)
         if now > self._last_write + _SUMMARY_INTERVAL:
             self.write()
             self._last_write = now
         states = [each.state for each in self._outcomes.values()]
-        left = self._seconds_left()
-        return BatchProgress(
-            states.count("done"), states.count("failed"), len(states), left, outcome
-        )
-
-    def _seconds_left(self) -> float | None:
-        """Estimate the remaining time, without the first cases, which include start-up time."""
-        times = self._finish_times[-_AVERAGED_CASES:]
-        if len(times) < _AVERAGED_CASES:
-            return None
-        return (
-            (times[-1] - times[0]) / (_AVERAGED_CASES - 1) * (self._todo - len(self._finish_times))
-        )
+        done, failed = states.count("done"), states.count("failed")
+        solved = done + failed - self._finished_before
+        seconds_left = (now - self._started) / solved * states.count("not done")
+        return BatchProgress(done, failed, len(states), seconds_left, outcome)
 
     def write(self) -> None:
         """Write the summary: one row per case, with the values of the swept parameters."""
@@ -307,78 +304,68 @@ class _Batch:
         write_csv(self._folder / SUMMARY, [titles[0], *swept, *titles[1:]], rows)
 
 
-# Local processes
+# Workers
 
 
-@dataclass
 class _Worker:
-    """Worker process that solves one case at a time, and the pipe to it."""
+    """Process that solves one case at a time, and is started again if it has ended."""
 
-    process: Any
-    pipe: Connection
-    case: NamedCase
+    def __init__(self, solve_one: _Solve) -> None:
+        self._solve_one = solve_one
+        self._start()
 
-    @classmethod
-    def start(cls, solve_one: Callable[[NamedCase], CaseOutcome], case: NamedCase) -> _Worker:
+    def _start(self) -> None:
         context = multiprocessing.get_context("spawn")
-        parent_end, child_end = context.Pipe()
-        process = context.Process(target=_work, args=(child_end, solve_one), daemon=True)
-        process.start()
-        child_end.close()  # otherwise `receive` would not notice that the process has ended
-        worker = cls(process, parent_end, case)
-        worker.submit(case)
-        return worker
+        self._pipe, child_end = context.Pipe()
+        self.process = context.Process(target=_work, args=(child_end, self._solve_one), daemon=True)
+        self.process.start()
+        child_end.close()  # otherwise `recv` would not notice that the process has ended
 
-    def submit(self, case: NamedCase) -> None:
-        self.case = case
-        with suppress(OSError):  # `receive` reports if the process has ended
-            self.pipe.send(case)
-
-    def receive(self) -> CaseOutcome:
-        """Return the outcome of the current case, or a failure if the process has ended."""
+    def solve(self, case: NamedCase) -> CaseOutcome:
+        """Return the outcome of a case, or a failure if the process ends during the case."""
+        if not self.process.is_alive():
+            self._start()
         try:
-            outcome: CaseOutcome = self.pipe.recv()
+            self._pipe.send(case)
+            outcome: CaseOutcome = self._pipe.recv()
         except (EOFError, OSError):
             self.process.join()
-            return CaseOutcome(self.case.name, "failed", _exit_reason(self.process.exitcode))
+            return CaseOutcome(case.name, "failed", _exit_reason(self.process.exitcode))
         return outcome
 
 
-def _solve_in_processes(
-    cases: Sequence[NamedCase], solve_one: Callable[[NamedCase], CaseOutcome], count: int
-) -> Generator[CaseOutcome, None, None]:
-    """Yield the outcomes in order of completion; if a process crashes, only its case fails."""
-    todo = deque(cases)
-    workers: dict[Connection, _Worker] = {}
-    idle: list[_Worker] = []
+@contextmanager
+def _processes(solve_one: _Solve, count: int) -> Iterator[_Submit]:
+    """Yield a function that submits a case to one of several processes.
 
-    def start() -> None:
-        worker = _Worker.start(solve_one, todo.popleft())
-        workers[worker.pipe] = worker
+    A thread waits for each process. In a `ProcessPoolExecutor`, the crash of one process would also
+    end the cases in progress in all other processes.
+    """
+    workers = [_Worker(solve_one) for _ in range(count)]
+    idle = SimpleQueue[_Worker]()
+    for worker in workers:
+        idle.put(worker)
 
+    def solve(case: NamedCase) -> CaseOutcome:
+        worker = idle.get()
+        try:
+            return worker.solve(case)
+        finally:
+            idle.put(worker)
+
+    threads = ThreadPoolExecutor(max(count, 1))
     try:
-        while todo and len(workers) < count:
-            start()
-        while workers:
-            for pipe in wait(list(workers)):
-                worker = workers[pipe]  # type: ignore[index]
-                outcome = worker.receive()
-                if worker.process.is_alive() and todo:
-                    worker.submit(todo.popleft())
-                else:
-                    idle.append(workers.pop(worker.pipe))
-                    worker.pipe.close()  # makes the process exit
-                    if todo:
-                        start()
-                yield outcome
+        yield lambda case: threads.submit(solve, case)
     finally:
-        for worker in workers.values():
+        threads.shutdown(wait=False, cancel_futures=True)
+        for worker in workers:
             worker.process.terminate()
-        for worker in (*workers.values(), *idle):
+        threads.shutdown()
+        for worker in workers:
             worker.process.join()
 
 
-def _work(pipe: Connection, solve_one: Callable[[NamedCase], CaseOutcome]) -> None:
+def _work(pipe: Connection, solve_one: _Solve) -> None:
     """Solve the cases received from a pipe, until the pipe is closed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the parent process
     one_thread()
@@ -403,9 +390,6 @@ def _cores() -> int:
     return os.cpu_count() or 1
 
 
-# dask cluster
-
-
 def _cluster(address: str) -> Any:
     """Return a client of a dask scheduler, which is to be closed."""
     is_file = address.endswith(".json")
@@ -425,27 +409,23 @@ def _cluster(address: str) -> Any:
         raise HmrfError(f"no dask scheduler responds at {address}: {error}") from error
 
 
-def _solve_on_cluster(
-    cases: Sequence[NamedCase], solve_one: Callable[[NamedCase], CaseOutcome], client: Any
-) -> Generator[CaseOutcome, None, None]:
-    """Yield the outcomes from the workers of a dask scheduler, in order of completion."""
-    from distributed import as_completed  # optional: distributed
-
-    futures: dict[Any, NamedCase] = {}
+@contextmanager
+def _cluster_workers(solve_one: _Solve, client: Any) -> Iterator[_Submit]:
+    """Yield a function that submits a case to the workers of a dask scheduler."""
+    executor: Executor = client.get_executor(pure=False, retries=0)
     try:
-        futures = dict(
-            zip(client.map(solve_one, list(cases), pure=False, retries=0), cases, strict=True)
-        )
-        for future in as_completed(list(futures), loop=client.loop):
-            case = futures.pop(future)
-            if future.status == "finished":
-                yield future.result()
-            else:
-                failure = future.exception()
-                message = f"the worker did not finish: {type(failure).__name__}: {failure}"
-                yield CaseOutcome(case.name, "failed", message)
+        yield lambda case: executor.submit(solve_one, case)
     finally:
-        client.cancel(list(futures))
+        executor.shutdown(wait=False)  # cancels unfinished cases
+
+
+def _outcome(case: NamedCase, future: Future[CaseOutcome]) -> CaseOutcome:
+    """Return the outcome of a case, or a failure if its dask worker did not finish."""
+    try:
+        return future.result()
+    except Exception as error:  # noqa: BLE001 - a failed case must not stop the batch
+        message = f"the worker did not finish: {type(error).__name__}: {error}"
+        return CaseOutcome(case.name, "failed", message)
 
 
 def _duration(seconds: float) -> str:

@@ -90,32 +90,26 @@ def finished_cases(
 
     A case is solved again if its table row, its input files or its output files have changed.
     """
-    outcomes, changed_rows, changed_files, damaged = {}, [], [], []
+    outcomes: dict[str, CaseOutcome] = {}
+    repeated: dict[str, list[str]] = {}
     digests: dict[Path, str] = {}
     for case in cases:
         record = record_in(folder / case.name)
         if record is None:
             continue
         if record.cells != dict(case.cells):
-            changed_rows.append(case.name)
+            reason = "the line in the table has changed"
         elif record.inputs != fingerprints(case, digests):
-            changed_files.append(case.name)
+            reason = "input files have changed"
         elif not _is_intact(folder / case.name, record):
-            damaged.append(case.name)
+            reason = "files of the result are damaged or missing"
         else:
             outcomes[case.name] = record.outcome
-    sentences = [
-        f"solved again, because the line in the table has changed: {_listed(changed_rows)}"
-        if changed_rows
-        else "",
-        f"solved again, because input files have changed: {_listed(changed_files)}"
-        if changed_files
-        else "",
-        f"solved again, because files of the result are damaged or missing: {_listed(damaged)}"
-        if damaged
-        else "",
+            continue
+        repeated.setdefault(reason, []).append(case.name)
+    return outcomes, [
+        f"solved again, because {reason}: {_listed(names)}" for reason, names in repeated.items()
     ]
-    return outcomes, [sentence for sentence in sentences if sentence]
 
 
 def output_digests(folder: Path) -> dict[str, str]:

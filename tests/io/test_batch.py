@@ -6,6 +6,8 @@ import os
 import signal
 import subprocess
 import sys
+from concurrent.futures import Future
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -58,10 +60,16 @@ def in_this_process(monkeypatch):
     """Solve cases without worker processes, for tests of the files of a batch."""
     monkeypatch.setattr(batch, "one_thread", lambda: None)
 
-    def solve_in_turn(cases, solve_one, _):
-        yield from map(solve_one, cases)
+    @contextmanager
+    def no_processes(solve_one, _):
+        def submit(case):
+            solved = Future()
+            solved.set_result(solve_one(case))
+            return solved
 
-    monkeypatch.setattr(batch, "_solve_in_processes", solve_in_turn)
+        yield submit
+
+    monkeypatch.setattr(batch, "_processes", no_processes)
 
 
 def write_table(folder, *lines, more=""):
