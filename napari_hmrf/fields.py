@@ -18,6 +18,7 @@ from napari_hmrf.field.deformation import (
     magnitude,
     rmsd,
 )
+from napari_hmrf.field.displacement_field import Field
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.live_warp import Picture, Warper
 from napari_hmrf.field.measurement import Measurement
@@ -33,7 +34,7 @@ from napari_hmrf.field.strain import (
 )
 from napari_hmrf.field.stress import hydrostatic_pressure, von_mises_stress
 from napari_hmrf.field.warp import inverse_map
-from napari_hmrf.io.fields import Field, read_field, write_field
+from napari_hmrf.io.fields import read_field, write_field
 from napari_hmrf.io.moving_pictures import write_movie
 from napari_hmrf.io.study_file import is_study_file
 from napari_hmrf.solver.solution import is_solution_file

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -12,18 +11,21 @@ import numpy.typing as npt
 
 from napari_hmrf.field.inverse_field import Inverse, inverse_displacement, origins_at
 from napari_hmrf.field.moved_points import interpolate_linearly
+from napari_hmrf.geometry import Geometry
+from napari_hmrf.solver.problem import grid_in_words
 
 
 @dataclass(frozen=True, eq=False)
-class DisplacementField:
-    """Displacement field, either forward or backward.
+class Field:
+    """Displacement field on a grid, either forward or backward.
 
     Attributes
     ----------
     vectors : ndarray, shape ([D,] H, W, n)
-        Vectors in the unit of `spacing`, with components in axis order.
-    spacing : sequence of float, shape (n,)
-        Size of a pixel along each axis.
+        Vectors in the unit of the grid, with components along the axes of the array, in the same
+        order.
+    geometry : Geometry
+        Grid of the field; for a slice of a volume, a volume of one slice.
     back : bool
         True for a backward field, which maps each moved position to its origin and is used to
         warp images. False for a forward (material) field, which maps each point of tissue to its
@@ -31,20 +33,40 @@ class DisplacementField:
     """
 
     vectors: npt.NDArray[Any]
-    spacing: Sequence[float]
+    geometry: Geometry
     back: bool = False
 
     @classmethod
-    def in_pixels(cls, vectors: npt.NDArray[Any], back: bool = False) -> DisplacementField:
+    def in_pixels(cls, vectors: npt.NDArray[Any], back: bool = False) -> Field:
         """Create a field from vectors in pixels."""
-        return cls(vectors, (1.0,) * vectors.shape[-1], back)
+        return cls(vectors, Geometry.at_origin(vectors.shape[:-1]), back)
 
-    def to_pixels(self) -> DisplacementField:
+    def __repr__(self) -> str:
+        unit = "mm" if self.geometry.unit == "millimeter" else "px"
+        sizes = grid_in_words(self.shape), grid_in_words(self.spacing)
+        return f"Field({sizes[0]} sites of {sizes[1]} {unit})"
+
+    def to_pixels(self) -> Field:
         """Return the same field with vectors in pixels."""
         if all(size == 1 for size in self.spacing):
             return self
         steps = self.vectors / np.asarray(self.spacing, self.vectors.dtype)
-        return DisplacementField.in_pixels(steps, self.back)
+        return Field.in_pixels(steps, self.back)
+
+    @property
+    def spacing(self) -> tuple[float, ...]:
+        """Pixel size along each axis of the field, in the order [z,] y, x."""
+        return self.geometry.spacing[-self.vectors.shape[-1] :]
+
+    @property
+    def origin(self) -> tuple[float, ...]:
+        """Centre of the first pixel in ITK's convention: x, y[, z] in LPS."""
+        return self.geometry.origin
+
+    @property
+    def direction(self) -> npt.NDArray[np.float64]:
+        """Direction matrix in ITK's convention: its columns are the directions of x, y[, z]."""
+        return self.geometry.direction
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -96,7 +118,10 @@ class DisplacementField:
 
     @property
     def displacement(self) -> npt.NDArray[Any]:
-        """Forward displacement of each site; a backward field is inverted on its whole grid."""
+        """Material displacement d of each site: tissue at X moves to X + d(X).
+
+        A backward field is inverted on its whole grid on first access.
+        """
         return self._inverse.displacement if self.back else self.vectors
 
     @property
@@ -106,7 +131,7 @@ class DisplacementField:
 
     @property
     def residual(self) -> float:
-        """Largest error of the inversion of a backward field, in pixels; 0 for a forward field."""
+        """Largest error of `displacement` as the inverse of a backward field, in pixels, or 0."""
         return self._inverse.residual if self.back else 0.0
 
     @cached_property

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.field.displacement_field import DisplacementField
+from napari_hmrf.field.displacement_field import Field
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
@@ -46,20 +46,20 @@ class PixelField(NamedTuple):
 
     Attributes
     ----------
-    field : DisplacementField
+    field : Field
         Field in the pixels of its grid, with one component for each axis of the grid.
     frame : Frame
         Frame of the grid, which defines the position of its first site.
     """
 
-    field: DisplacementField
+    field: Field
     frame: Frame
 
     @classmethod
     def of(cls, solution: Solution, place: Frame) -> PixelField:
         """Create the field of a solution on the pixels of its slice or volume."""
         pixels = place.put_field(solution.displacement / solution.spacing)
-        return cls(DisplacementField.in_pixels(pixels), place)
+        return cls(Field.in_pixels(pixels), place)
 
     def on(self, frame: Frame, shape: tuple[int, ...]) -> Observation:
         """Resample the field to the pixels of a slice or volume, using world coordinates.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,7 +15,7 @@ import scipy
 
 from napari_hmrf.errors import HmrfError, ProblemError
 from napari_hmrf.field.deformation import count_folds
-from napari_hmrf.field.displacement_field import DisplacementField
+from napari_hmrf.field.displacement_field import Field
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.observation import PixelField
 from napari_hmrf.field.resample import unknown_values, without_removed
@@ -63,10 +63,7 @@ class FieldFile:
 
     Attributes
     ----------
-    field : DisplacementField
-        Displacement field, in the unit of `geometry`.
-    geometry : Geometry
-        Grid of the field; for a slice of a volume, a volume of one slice.
+    field : Field
     tissue : ndarray of bool or None
         Mask of the deformable tissue; None if the file has no mask, in which case all pixels move.
     is_placed : bool
@@ -76,13 +73,12 @@ class FieldFile:
     parts : ndarray of int or None
         Label of the sliding part of each site; None if all tissue is connected.
     file_axes : tuple of int
-        Axis of the image file for each axis of `geometry`.
+        Axis of the image file for each axis of the grid.
     number : int
-        Index of a slice along the first axis of `geometry`.
+        Index of a slice along the first axis of the grid.
     """
 
-    field: DisplacementField
-    geometry: Geometry
+    field: Field
     tissue: npt.NDArray[np.bool_] | None = None
     is_placed: bool = True
     removed: npt.NDArray[np.bool_] | None = None
@@ -94,13 +90,11 @@ class FieldFile:
     def of(cls, solution: Solution) -> FieldFile:
         """Return the displacement field of a solution, with the place of its image."""
         d, geometry = placed(solution)
-        sizes = geometry.spacing[-solution.tissue.ndim :]
         frame = Frame.of_solution(solution)
         across = frame.others[-1:] if len(frame.plane) == 2 else ()
         axes = (*across, *frame.plane)
         return cls(
-            DisplacementField(d, sizes),
-            geometry,
+            Field(d, geometry),
             solution.tissue,
             bool(solution.frame),
             solution.removed,
@@ -112,6 +106,11 @@ class FieldFile:
         )
 
     @property
+    def geometry(self) -> Geometry:
+        """Grid of the field; for a slice of a volume, a volume of one slice."""
+        return self.field.geometry
+
+    @property
     def in_patient(self) -> Geometry | None:
         """Grid in patient coordinates, or None if the pixel size is unknown."""
         return self.geometry if self.geometry.unit == "millimeter" else None
@@ -121,7 +120,7 @@ class FieldFile:
         """Field in pixels, with one component per axis of its grid, as stored in layers."""
         field, frame = self.field.to_pixels(), Frame.of_geometry(self.geometry)
         if len(field.shape) == 2:
-            field = DisplacementField.in_pixels(frame.put_field(field.displacement))
+            field = Field.in_pixels(frame.put_field(field.displacement))
         return PixelField(field, frame)
 
     @property
@@ -166,12 +165,11 @@ def read_field_file(path: str | os.PathLike[str], *, forward: bool = False) -> F
                 "the direction (`forward=True`)."
             )
         return FieldFile.of(read_solved(path)[1])
-    file = read_field(path, forward=forward)
-    field = file.field
+    field = read_field(path, forward=forward)
     across = field.vectors[..., 0]
     if across.ndim == 3 and len(across) == 1 and np.abs(across).max() < _ROUNDING:  # a single slice
-        field = DisplacementField(field.vectors[0, ..., 1:], file.spacing[1:], field.back)
-    return FieldFile(field, file.geometry)
+        field = replace(field, vectors=field.vectors[0, ..., 1:])
+    return FieldFile(field)
 
 
 def write_field_file(

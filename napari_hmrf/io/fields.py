@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ import numpy.typing as npt
 from napari_hmrf.arguments import checked_path, require_flag, require_kind, shown
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import ArgumentError, FileFormatError, ProblemError
-from napari_hmrf.field.displacement_field import DisplacementField
+from napari_hmrf.field.displacement_field import Field
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.inverse_field import inverse_displacement
 from napari_hmrf.field.units import SAME_SPACING, UNKNOWN_UNITS, unit_factor
@@ -50,64 +50,6 @@ _NOTES, _DESCRIPTION = "ITK_FileNotes", "descrip"
 _NIFTI = (".nii", ".nii.gz")
 #: Suffix of the format without metadata; all tools assume that it contains a backward field.
 _NO_METADATA = ".h5"
-
-
-@dataclass(frozen=True, eq=False)
-class Field:
-    """Displacement field with the place of its grid.
-
-    Attributes
-    ----------
-    displacement : ndarray, shape (H, W, 2) or (D, H, W, 3), float64
-        Material displacement d, in mm: tissue at X moves to X + d(X). The components are along the
-        axes of the image, in the same order. A backward field is inverted on first access.
-    residual : float
-        Largest deviation, in pixels, of `displacement` from the exact inverse of the stored field;
-        0 if the file stores a forward field.
-    spacing : tuple of float, shape (n,)
-        Pixel size along each axis, in mm, in the order [z,] y, x.
-    origin : tuple of float, shape (n,)
-        Centre of the first pixel, in mm, in ITK's convention: x, y[, z] in LPS.
-    direction : ndarray, shape (n, n)
-        Direction matrix in ITK's convention: its columns are the directions of the image axes
-        x, y[, z].
-    field : DisplacementField
-        Field as stored, forward or backward; it can be evaluated at arbitrary points.
-    geometry : Geometry
-        Grid of the field.
-    """
-
-    field: DisplacementField
-    geometry: Geometry
-
-    def __repr__(self) -> str:
-        sizes = f"{grid_in_words(self.field.vectors.shape[:-1])} sites"
-        return f"Field({sizes} of {grid_in_words(self.spacing)} mm)"
-
-    @property
-    def displacement(self) -> npt.NDArray[np.float64]:
-        """Material displacement at every site, in mm; a backward field is inverted on access."""
-        return self.field.displacement.astype(np.float64, copy=False)
-
-    @property
-    def spacing(self) -> tuple[float, ...]:
-        """Pixel size along each axis, in mm, in the order [z,] y, x."""
-        return self.geometry.spacing
-
-    @property
-    def origin(self) -> tuple[float, ...]:
-        """Centre of the first pixel, in mm: x, y[, z] in LPS."""
-        return self.geometry.origin
-
-    @property
-    def direction(self) -> npt.NDArray[np.float64]:
-        """Direction matrix: its columns are the directions of the image axes x, y[, z]."""
-        return self.geometry.direction
-
-    @property
-    def residual(self) -> float:
-        """Largest error of `displacement` as the inverse of the stored field, in pixels."""
-        return self.field.residual
 
 
 def write_field(
@@ -315,8 +257,7 @@ def read_field(path: str | os.PathLike[str], *, forward: bool = False) -> Field:
         raise FileFormatError(f"{source.name}: the field contains NaN or infinite values.")
     geometry = image.geometry
     along = (vectors @ geometry.direction.astype(vectors.dtype))[..., ::-1]
-    field = DisplacementField(along, geometry.spacing, back=field_type != _FORWARD)
-    return Field(field, geometry)
+    return Field(along, geometry, back=field_type != _FORWARD)
 
 
 def is_field_file(path: str | os.PathLike[str]) -> bool:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from napari.layers import Image, Labels, Points, Shapes
 
 from napari_hmrf.errors import ProblemError, naming
-from napari_hmrf.field.displacement_field import DisplacementField
+from napari_hmrf.field.displacement_field import Field
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.moved_points import bendable
 from napari_hmrf.field.observation import PixelField
@@ -53,13 +53,13 @@ def field_of(layer: Any) -> PixelField | None:
 
 
 def field_layer(
-    field: DisplacementField, place: Mapping[str, Any], name: str, role: str | None = None
+    field: Field, place: Mapping[str, Any], name: str, role: str | None = None
 ) -> LayerData:
     """Create a layer that contains a displacement field and displays some of its arrows.
 
     Parameters
     ----------
-    field : DisplacementField
+    field : Field
         Field in pixels, with one component per axis.
     place : mapping
         Transform from pixels to world coordinates, as keyword arguments of a new layer.

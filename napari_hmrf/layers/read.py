@@ -12,7 +12,7 @@ from napari.layers import Labels, Layer, Vectors
 
 from napari_hmrf.errors import HmrfError, LayerError, naming
 from napari_hmrf.field.brightness import edge_confidence
-from napari_hmrf.field.displacement_field import DisplacementField
+from napari_hmrf.field.displacement_field import Field
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.observation import arrow_observation
 from napari_hmrf.layers.arrow_layer import NAME as ARROWS
@@ -375,7 +375,7 @@ def study_layers(study: Study) -> dict[str, Any]:
         confidence = confidence if confidence.ndim == n else confidence.max(axis=-1)
         starts, steps = np.argwhere(confidence > 0), motion.observed / grid.spacing
         if len(starts) > _MOST_ARROWS:
-            field = DisplacementField.in_pixels(frame.put_field(steps))
+            field = Field.in_pixels(frame.put_field(steps))
             name = study.names.get("boundary", "Observed")
             place = frame.placement(image=True)
             made = field_layer(field, place, name, BOUNDARY)

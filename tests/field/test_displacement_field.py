@@ -9,7 +9,7 @@ from napari.layers import Layer
 from napari_hmrf.cli import main
 from napari_hmrf.contributions import open_scan
 from napari_hmrf.field import inverse_field
-from napari_hmrf.field.displacement_field import DisplacementField
+from napari_hmrf.field.displacement_field import Field
 from napari_hmrf.field.inverse_field import inverse_displacement, origins_at
 from napari_hmrf.field.moved_points import interpolate_linearly, interpolate_with_slopes
 from napari_hmrf.fields import read_field
@@ -66,12 +66,12 @@ def test_opening_a_volume_inverts_only_the_sites_of_the_drawn_arrows(volume, inv
 def test_a_backward_field_is_inverted_exactly_between_its_sites(volume):
     case, path = volume
     points = np.random.default_rng(2).uniform(0, np.array(case.shape) - 1, (300, 3))
-    back = read_field(path).field
+    back = read_field(path)
     assert back.back
     steps = back.at(points) / case.spacing
     returned = interpolate_linearly(back.vectors, points + steps) / case.spacing
     assert np.abs(steps + returned).max() < 1e-6
-    forth = DisplacementField(case.displacement, case.spacing)
+    forth = Field(case.displacement, back.geometry)
     inside = ((points > 4) & (points < np.array(case.shape) - 5)).all(axis=1)
     assert np.abs(steps - forth.at(points) / case.spacing)[inside].max() < 0.05
 

@@ -11,7 +11,7 @@ from napari_hmrf.field import tetrahedron_raster
 from napari_hmrf.field.animation import Motion
 from napari_hmrf.field.comparison import compare
 from napari_hmrf.field.deformation import jacobian_determinant, spread
-from napari_hmrf.field.displacement_field import DisplacementField
+from napari_hmrf.field.displacement_field import Field
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.inverse_field import inverse_displacement
 from napari_hmrf.field.inverse_point import inverse_point
@@ -29,6 +29,7 @@ from napari_hmrf.field.strain import (
 )
 from napari_hmrf.field.tissue_point import Points
 from napari_hmrf.fields import inverse_map
+from napari_hmrf.geometry import Geometry
 from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.solution import Provenance, Solution
 
@@ -288,7 +289,7 @@ def test_a_field_on_another_grid_is_resampled_with_all_components():
 
     steps = world(own, places(shape)) @ matrix.T + shift
     pixels = steps @ np.linalg.inv(np.array(own.matrix)[:3, :3]).T
-    known = PixelField(DisplacementField.in_pixels(pixels), own)
+    known = PixelField(Field.in_pixels(pixels), own)
     found = known.on(here, SHAPE)
     assert found.known.all()
     assert found.out == 0
@@ -310,7 +311,7 @@ def test_a_field_on_another_grid_is_resampled_with_all_components():
 
 def test_a_field_without_a_unit_is_matched_voxel_by_voxel():
     steps = np.random.default_rng(0).normal(size=(*SHAPE, 3))
-    known = PixelField(DisplacementField.in_pixels(steps), Frame.at((1.0,) * 3, ("pixel",) * 3))
+    known = PixelField(Field.in_pixels(steps), Frame.at((1.0,) * 3, ("pixel",) * 3))
     order = (1, 2, 0)
     here = replace(Frame.at(SIZE, ("mm",) * 3, volume=True), plane=order)
     sizes = [SIZE[axis] for axis in order]
@@ -319,7 +320,7 @@ def test_a_field_without_a_unit_is_matched_voxel_by_voxel():
     np.testing.assert_allclose(found.displacement, expected, rtol=1e-5)
     with pytest.raises(ProblemError, match="but the image is 14 x 15 x 16 in mm"):
         known.on(here, SHAPE)
-    slice_ = DisplacementField.in_pixels(steps[0, ..., 1:])
+    slice_ = Field.in_pixels(steps[0, ..., 1:])
     with pytest.raises(ProblemError, match="not a slice of this grid"):
         PixelField(slice_, Frame.at((1.0,) * 2, ("mm",) * 2)).on(here, SHAPE)
 
@@ -384,5 +385,5 @@ def test_inverting_the_inverse_of_a_volume_restores_the_displacement():
     d = hill(2.0)
     back, residual = inverse_displacement(d, spacing=SIZE)
     assert residual < 1e-3
-    forth = DisplacementField(back, SIZE, back=True)
+    forth = Field(back, Geometry.at_origin(back.shape[:-1], SIZE), back=True)
     np.testing.assert_allclose(forth.displacement, d, atol=0.06)

@@ -243,7 +243,7 @@ def test_fields_of_spm_and_niftyreg_are_read_as_displacements(tmp_path):
         (b"Mapping", 0, positions),
     ):
         path = nifti(tmp_path / "other.nii", pixels=vectors, kind=name, parameter=parameter)
-        np.testing.assert_allclose(read_field(path).field.vectors, itk.field.vectors, atol=1e-5)
+        np.testing.assert_allclose(read_field(path).vectors, itk.vectors, atol=1e-5)
     for fields in ({"kind": b"NREG_TRANS", "parameter": 2}, {"matrix": SHEARED, "by_rotation": 0}):
         with pytest.raises(FileFormatError, match=r"other\.nii"):
             read_field(nifti(tmp_path / "other.nii", pixels=u, **fields))

@@ -8,7 +8,7 @@ from napari.layers import Layer
 
 from napari_hmrf import ProblemError
 from napari_hmrf.contributions import open_scan, open_solution
-from napari_hmrf.field.displacement_field import DisplacementField
+from napari_hmrf.field.displacement_field import Field
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.observation import PixelField
 from napari_hmrf.fields import write_field
@@ -19,7 +19,7 @@ from tests.support.screen import Screen
 
 pytest.importorskip("SimpleITK")
 SHAPE = (40, 48)
-in_pixels = DisplacementField.in_pixels
+in_pixels = Field.in_pixels
 TURN = np.array([[0.8, -0.6], [0.6, 0.8]])
 
 
