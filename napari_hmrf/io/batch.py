@@ -2,8 +2,8 @@
 
 The results of each case are written to a folder below `UNFINISHED`, which is moved to its final
 location when it is complete. A batch can therefore be interrupted at any time without leaving
-partial results, and resumed later. Only one process at a time can use the output folder of a batch
-(`folder_lock`); this process also writes the summary.
+partial results, and resumed later. Only one process at a time can use the output folder of a batch;
+this process also writes the summary.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache, partial
 from multiprocessing.connection import Connection
@@ -47,12 +47,13 @@ from napari_hmrf.io.case_records import (
 )
 from napari_hmrf.io.case_tables import NamedCase
 from napari_hmrf.io.csv_files import write_csv
-from napari_hmrf.io.folder_lock import exclusive
 from napari_hmrf.wording import in_words_of
 
 _log = logging.getLogger("napari_hmrf")
 #: Name of the folder for unfinished cases.
 UNFINISHED = ".unfinished"
+#: Name of the file that a batch locks while it uses the folder; the file remains.
+LOCK = ".batch.lock"
 #: Name of the file with the outcomes of all cases.
 SUMMARY = "summary.csv"
 #: Shortest time between two updates of the summary while the batch is running, in seconds.
@@ -154,7 +155,7 @@ def solve_cases(
         # Nothing is written before the scheduler responds.
         client = None if scheduler is None else stack.enter_context(_cluster(scheduler))
         target.mkdir(parents=True, exist_ok=True)
-        stack.enter_context(exclusive(target))
+        stack.enter_context(_lock(target))
         existing = [case.name for case in cases if (target / case.name).exists()]
         existing += [SUMMARY] * (target / SUMMARY).exists()
         if existing and not resume:
@@ -226,6 +227,19 @@ def one_thread() -> None:
     if "numba" not in sys.modules:  # numba reads the variable only once
         os.environ["NUMBA_NUM_THREADS"] = "1"
     threadpoolctl.threadpool_limits(1)
+
+
+def _lock(folder: Path) -> AbstractContextManager[object]:
+    """Lock a folder until the end of a context, or of this process."""
+    from filelock import FileLock, Timeout  # heavy: filelock
+
+    try:
+        return FileLock(folder / LOCK).acquire(timeout=0)
+    except Timeout:
+        raise HmrfError(
+            f"{folder}: another batch is using this folder. Wait until that batch ends, or choose "
+            "another folder."
+        ) from None
 
 
 def _seconds_since(started: float) -> float:
