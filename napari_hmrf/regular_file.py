@@ -3,24 +3,15 @@
 from __future__ import annotations
 
 import os
-import stat
 from pathlib import Path
 
+from napari_hmrf.atomic_write import is_stream
 from napari_hmrf.errors import FileFormatError
 
 
 def refuse_irregular(path: str | os.PathLike[str]) -> None:
-    """Raise an error if a path is neither a regular file nor a folder.
-
-    Raises
-    ------
-    FileFormatError
-        If the path is a pipe, a socket or a device.
-    OSError
-        If the path does not exist.
-    """
-    mode = os.stat(path).st_mode
-    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+    """Raise a FileFormatError if a path is a pipe, a socket or a device."""
+    if is_stream(path):
         raise FileFormatError(
             f"{Path(path).name}: it is a pipe or a device. Save its content to a file first."
         )

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from napari_hmrf.atomic_write import is_stream
 from napari_hmrf.errors import HmrfError
 
 
@@ -27,7 +26,7 @@ def refuse_overwriting(paths: Iterable[Path], *, overwrite: bool = False) -> Non
     """
     if overwrite:
         return
-    existing = [path for path in paths if path.exists() and not (path.is_dir() or is_stream(path))]
+    existing = [path for path in paths if path.is_file()]
     if existing:
         more = f" (and {len(existing) - 1} more)" if len(existing) > 1 else ""
         raise HmrfError(

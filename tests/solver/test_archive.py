@@ -194,41 +194,6 @@ def test_a_failed_write_keeps_the_old_file_and_no_temporary_file(solution, path,
     assert os.listdir(path.parent) == [path.name]
 
 
-def test_a_disk_that_returns_other_content_is_detected(solution, path, monkeypatch):
-    monkeypatch.setattr(atomic_write.Path, "read_bytes", lambda _: b"")
-    with pytest.raises(OSError, match=r"'result\.npz'.*read back from the disk differs"):
-        random_solution((5, 5)).write(path)
-    monkeypatch.undo()
-    assert_same(Solution.read(path), solution)
-    assert os.listdir(path.parent) == [path.name]
-
-
-def always_locked(*_):
-    raise PermissionError(errno.EACCES, "held")
-
-
-def test_writing_a_file_locked_by_another_process_is_retried(solution, path, monkeypatch):
-    """Simulate Windows while a virus scanner reads the old file."""
-    attempts = []
-    rename = os.replace
-
-    def held(*names):
-        attempts.append(names)
-        if len(attempts) < 3:
-            raise PermissionError(errno.EACCES, "Permission denied")
-        rename(*names)
-
-    monkeypatch.setattr(atomic_write.os, "replace", held)
-    monkeypatch.setattr(atomic_write.time, "sleep", lambda _: None)
-    other = random_solution((5, 5))
-    other.write(path)
-    assert_same(Solution.read(path), other)
-    monkeypatch.setattr(atomic_write.os, "replace", always_locked)
-    with pytest.raises(PermissionError, match=r"cannot save the file: held.*result\.npz"):
-        solution.write(path)
-    assert_same(Solution.read(path), other)
-
-
 def test_a_missing_or_unwritable_folder_is_named(solution, tmp_path, monkeypatch):
     with pytest.raises(FileNotFoundError, match=r"cannot save the file.*nowhere"):
         solution.write(tmp_path / "nowhere" / "result.npz")
@@ -242,17 +207,6 @@ def test_a_missing_or_unwritable_folder_is_named(solution, tmp_path, monkeypatch
     monkeypatch.setattr("builtins.open", closed)
     with pytest.raises(PermissionError, match=r"cannot save the file: Permission denied"):
         solution.write(tmp_path / "result.npz")
-
-
-def test_old_temporary_files_of_killed_processes_are_removed(solution, tmp_path):
-    old, young = tmp_path / ".napari-hmrf-0.tmp", tmp_path / ".napari-hmrf-1.tmp"
-    foreign = tmp_path / "thesis.tmp"
-    for leftover in (old, young, foreign):
-        leftover.write_bytes(b"half")
-    os.utime(old, (0, 0))
-    os.utime(foreign, (0, 0))
-    solution.write(tmp_path / "result.npz")
-    assert sorted(os.listdir(tmp_path)) == [young.name, "result.npz", foreign.name]
 
 
 def test_a_solution_that_could_not_be_read_is_not_written(path, solution):
