@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Sequence
 from typing import Annotated, Any, NamedTuple, TypeVar, dataclass_transform, get_args
 
 import pydantic
@@ -98,6 +99,15 @@ Whole = Annotated[int, Words("a whole number, such as 1")]
 Painted = Annotated[int, Field(ge=1), Words("a whole number above 0, such as 1")]
 Number = Annotated[_BOUNDED, Words("a number")]
 Positive = Annotated[_BOUNDED, Field(gt=0), Words("a number above 0")]
+#: Standard deviation of a position.
+Spread = Annotated[
+    _BOUNDED,
+    Field(ge=0),
+    BeforeValidator(lambda value: 0.0 if value is None else value),
+    Words("a length above 0, or 0 for an exact position"),
+]
+#: Confidence of an observation, which would have no effect at 0.
+PositiveShare = Annotated[_BOUNDED, Field(gt=0, le=1), Words("a number above 0, up to 1")]
 #: Confidence or share.
 Share = Annotated[_BOUNDED, Field(ge=0, le=1), Words("a number from 0 to 1")]
 Poisson = Annotated[
@@ -127,6 +137,20 @@ Vector = Annotated[
     BeforeValidator(_plain),
     Words("finite numbers: (row, col), or (plane, row, col) in a volume"),
 ]
+#: Paths of a brush, each with one or more positions. A path has many positions, so that only lists
+#: that contain arrays are converted by Python.
+Paths = Annotated[
+    tuple[
+        Annotated[
+            tuple[Annotated[tuple[_BOUNDED, ...], Field(min_length=2, max_length=3)], ...],
+            Field(min_length=1),
+        ],
+        ...,
+    ],
+    Field(min_length=1),
+    BeforeValidator(_plain),
+    Words("the paths of a brush, as points (row, col) or (plane, row, col)"),
+]
 #: Confidence of each component of a displacement.
 Shares = Annotated[
     tuple[Annotated[_BOUNDED, Field(ge=0, le=1)], ...],
@@ -151,18 +175,44 @@ def checked(kind: type[Kind]) -> type[Kind]:
         try:
             build(self, *values, **named)
         except pydantic.ValidationError as error:
-            raise ArgumentError(explain(error)) from None
+            raise ArgumentError(explain(error, tuple(made.__dataclass_fields__))) from None
 
     made.__init__ = init
     return made  # type: ignore[no-any-return]
 
 
-def explain(error: pydantic.ValidationError) -> str:
-    """Describe the first invalid value of an error and its valid values, without a full stop."""
+def convert(kind: Any, value: Any, name: str = "") -> Any:
+    """Convert a value to a type of this module.
+
+    Raises
+    ------
+    ArgumentError
+        If the value is invalid; the message begins with the name.
+    """
+    try:
+        return _adapter(kind).validate_python(value)
+    except pydantic.ValidationError as error:
+        raise ArgumentError(f"{name} {explain(error)}".lstrip()) from None
+
+
+_adapter = functools.cache(pydantic.TypeAdapter)
+
+
+def explain(error: pydantic.ValidationError, names: Sequence[str] = ()) -> str:
+    """Describe the first invalid value of an error and its valid values, without a full stop.
+
+    Parameters
+    ----------
+    error : pydantic.ValidationError
+    names : sequence of str
+        Names of positional arguments.
+    """
     first = error.errors(include_url=False)[0]
-    name = next((part for part in reversed(first["loc"]) if isinstance(part, str)), "")
+    name = first["loc"][-1] if first["loc"] else ""
+    if isinstance(name, int):
+        name = names[name] if name < len(names) else ""
     if first["type"] == "value_error":
         return str(first["ctx"]["error"])
     if first["type"] == _INVALID:
         return f"{name} must be {first['msg']}, not {shown(first['input'])}".lstrip()
-    return f"{name}: {first['msg'].lower()}"
+    return f"{name}: {first['msg'].lower()}".lstrip(": ")

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from napari.layers import Shapes
 
-from napari_hmrf.errors import LayerError, naming
+from napari_hmrf.errors import LayerError
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.landmark_pairs import LandmarkPairs
 from napari_hmrf.layers.slice_view import View, frame_of
@@ -78,14 +78,10 @@ def read_landmarks(
     pairs = landmark_pairs(where, should, frame, shape, view, sd=sd)
     wanted = usual_radius(shape, frame.spacing) if radius is None else radius
     radii = pairs.radii(wanted, frame.spacing)
-    with naming(observed=where, confidence=where, drawing=where):
-        places = zip(
-            pairs.at.tolist(), pairs.to.tolist(), radii, pairs.spreads.tolist(), strict=True
-        )
-        return tuple(
-            Landmark(tuple(a), tuple(b), size, confidence, sd=spread)
-            for a, b, size, spread in places
-        )
+    places = zip(pairs.at.tolist(), pairs.to.tolist(), radii, pairs.spreads.tolist(), strict=True)
+    return tuple(
+        Landmark(tuple(a), tuple(b), size, confidence, sd=spread) for a, b, size, spread in places
+    )
 
 
 def with_spreads_of(drawing: Drawing, marks: Iterable[Landmark]) -> tuple[Landmark, ...]:

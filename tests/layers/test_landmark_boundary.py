@@ -121,11 +121,6 @@ def test_a_target_outside_the_image_is_accepted():
     assert mark.target == (20, 70)
 
 
-def test_a_confidence_of_zero_is_refused_with_the_name_of_the_layer():
-    with pytest.raises(ProblemError, match="'is' has a mark with a confidence of 0"):
-        read_layers(request([[20, 20]], [[22, 20]], confidence=0.0))
-
-
 def test_a_duplicate_landmark_does_not_shrink_its_neighbours():
     where = [[12, 12], [12, 16], [12, 12]]
     should = [[14, 12], [12, 19], [14, 12]]

@@ -7,16 +7,27 @@ Displacements are material: tissue at X moves to X + by.
 
 from __future__ import annotations
 
-import math
-import sys
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from collections.abc import Iterable, Mapping
+from itertools import chain
+from typing import Annotated, Any, Literal
 
-import numpy as np
+from pydantic import InstanceOf
 
-from napari_hmrf.arguments import is_one_of, is_whole, real, reals, shown
-from napari_hmrf.errors import ProblemError
+from napari_hmrf.checks import (
+    Choice,
+    Number,
+    Paths,
+    Positive,
+    PositiveShare,
+    Share,
+    Spread,
+    Vector,
+    Whole,
+    Words,
+    checked,
+    convert,
+)
+from napari_hmrf.errors import ArgumentError
 from napari_hmrf.tissue.drawing.patch_motion import PatchMotion
 
 Point = tuple[float, ...]
@@ -33,107 +44,26 @@ def between(start: Point, end: Point, spacing: Iterable[float]) -> Point:
     return tuple((b - a) * size for a, b, size in zip(start, end, spacing, strict=True))
 
 
-def _number(least: float, most: float) -> Callable[[Any], float | None]:
-    return lambda value: number if least <= (number := real(value)) <= most else None
+_Motion = Annotated[InstanceOf[PatchMotion] | None, Words("a PatchMotion")]
 
 
-def _place(value: Any) -> Point | None:
-    axes = 3 if np.shape(value) == (3,) else 2
-    along = tuple(reals(value, axes))
-    return along if all(map(math.isfinite, along)) else None
-
-
-def _lines(values: Any) -> tuple[tuple[Point, ...], ...] | None:
-    try:  # a stroke has many points, so they are checked as arrays
-        lines = [np.asarray(line, dtype=float) for line in values]
-    except (TypeError, ValueError):
-        return None
-    right = (line.ndim == 2 and np.isfinite(line).all() for line in lines)
-    plain = tuple(tuple(map(tuple, line.tolist())) for line in lines)
-    places = {line.shape[-1] for line in lines} in ({2}, {3})
-    return plain if plain and all(plain) and places and all(right) else None
-
-
-def _one_of(words: tuple[str, ...]) -> tuple[Callable[[Any], str | None], str]:
-    return lambda value: value if is_one_of(value, words) else None, " or ".join(words)
-
-
-def _spread(value: Any) -> float | None:
-    return 0.0 if value is None else _number(0, _LARGEST)(value)
-
-
-def _motion(value: Any) -> PatchMotion | None:
-    if isinstance(value, Mapping):
-        return PatchMotion.from_dict(value)
-    return value if isinstance(value, PatchMotion) else None
-
-
-_LARGEST = sys.float_info.max
-_SHARE = (_number(0, 1), "a value from 0 to 1")
-_PLACE = (_place, "finite numbers: (row, col), or (plane, row, col) in a volume")
-#: For each field: function that converts a value to a plain type, or to None if the value is
-#: invalid; and valid values, for the error message.
-_VALUES: dict[str, tuple[Callable[[Any], Any], str]] = {
-    "at": _PLACE,
-    "by": _PLACE,
-    "source": _PLACE,
-    "target": _PLACE,
-    "lines": (_lines, "the paths of a brush, as points (row, col) or (plane, row, col)"),
-    "radius": (_number(sys.float_info.min, _LARGEST), "a length above 0"),
-    "amount": (_number(-_LARGEST, _LARGEST), "a number"),
-    "sd": (_spread, "a length above 0, or 0 for an exact position"),
-    "confidence": _SHARE,
-    "softness": _SHARE,
-    "label": (lambda value: int(value) if is_whole(value) else None, "a whole number"),
-    "action": _one_of(get_args(Action)),
-    "components": _one_of(get_args(Components)),
-    "motion": (_motion, "a PatchMotion"),
-}
-
-
-def _checked(name: str, value: Any) -> Any:
-    """Convert a value to a plain type, or raise an error if it is invalid.
-
-    Marks with plain types can be compared and saved.
-    """
-    make_plain, give = _VALUES[name]
-    plain = make_plain(value)
-    if plain is None:
-        raise ProblemError("drawing", f"has a mark with {name} {shown(value)}. Use {give}.")
-    return plain
-
-
-class _Checked:
-    """Base class of marks, which converts values to plain types and rejects invalid values."""
-
-    #: True if a confidence of 0 is allowed, because a stroke can erase earlier marks.
-    _may_doubt = False
-    confidence: float
+class _Mark:
+    """Base class of marks: all positions and displacements have the same number of axes."""
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if value is not None or name != "motion":
-                object.__setattr__(self, name, _checked(name, value))
-        if not (self.confidence or self._may_doubt):
-            raise ProblemError("drawing", "has a mark with a confidence of 0. Remove the mark.")
-        if len({len(place) for place in self._places}) > 1:
-            raise ProblemError(
-                "drawing",
-                "has a mark that mixes positions in two and in three axes. Use (row, col) in an "
-                "image, or (plane, row, col) in a volume.",
+        if len(set(map(len, self._places))) > 1:
+            raise ArgumentError(
+                "the positions and displacements of a mark must all be (row, col) in an image, or "
+                "(plane, row, col) in a volume"
             )
 
     @property
-    def _places(self) -> tuple[Point, ...]:
-        """Positions and displacements, which must all have the same number of axes."""
-        motion = getattr(self, "motion", None)
-        starts = () if motion is None else (motion.start,)
-        places = (value for name, value in vars(self).items() if _VALUES[name] is _PLACE)
-        return (*places, *starts)
+    def _places(self) -> list[Point]:
+        raise NotImplementedError
 
 
-@dataclass(frozen=True)
-class Arrow(_Checked):
+@checked
+class Arrow(_Mark):
     """Prescribed displacement of a round patch of tissue.
 
     Attributes
@@ -160,17 +90,21 @@ class Arrow(_Checked):
 
     Raises
     ------
-    ProblemError
-        If a value is not a number or is out of range.
+    ArgumentError
+        If a value is invalid; the message states valid values.
     """
 
-    at: Point
-    by: Point
-    radius: float
-    confidence: float = 1.0
-    components: Components = "both"
-    amount: float = 0.0
-    motion: PatchMotion | None = None
+    at: Vector
+    by: Vector
+    radius: Positive
+    confidence: PositiveShare = 1.0
+    components: Annotated[Components, Choice()] = "both"
+    amount: Number = 0.0
+    motion: _Motion = None
+
+    @property
+    def _places(self) -> list[Point]:
+        return [self.at, self.by, *_starts(self)]
 
     @property
     def lines(self) -> tuple[tuple[Point, ...], ...]:
@@ -183,8 +117,8 @@ class Arrow(_Checked):
         return tuple(at + by / size for at, by, size in steps)
 
 
-@dataclass(frozen=True)
-class Landmark(_Checked):
+@checked
+class Landmark(_Mark):
     """Point of the tissue, with its positions before and after the motion.
 
     Attributes
@@ -202,17 +136,21 @@ class Landmark(_Checked):
 
     Raises
     ------
-    ProblemError
-        If a value is not a number or is out of range.
+    ArgumentError
+        If a value is invalid; the message states valid values.
     """
 
-    source: Point
-    target: Point
-    radius: float
-    confidence: float = 1.0
-    amount: float = 0.0
-    sd: float = 0.0
-    motion: PatchMotion | None = None
+    source: Vector
+    target: Vector
+    radius: Positive
+    confidence: PositiveShare = 1.0
+    amount: Number = 0.0
+    sd: Spread = 0.0
+    motion: _Motion = None
+
+    @property
+    def _places(self) -> list[Point]:
+        return [self.source, self.target, *_starts(self)]
 
     @property
     def lines(self) -> tuple[tuple[Point, ...], ...]:
@@ -226,8 +164,8 @@ class Landmark(_Checked):
         return Arrow(self.source, by, size, sure, amount=self.amount, motion=self.motion)
 
 
-@dataclass(frozen=True)
-class Stroke(_Checked):
+@checked
+class Stroke(_Mark):
     """Stroke of a round brush; in a volume the brush is a ball.
 
     Attributes
@@ -266,27 +204,25 @@ class Stroke(_Checked):
 
     Raises
     ------
-    ProblemError
-        If a value is not a number or is out of range.
+    ArgumentError
+        If a value is invalid; the message states valid values.
     """
 
-    _may_doubt = True
-    action: Action
-    lines: tuple[tuple[Point, ...], ...]
-    radius: float
-    by: Point = (0.0, 0.0)
-    amount: float = 0.0
-    confidence: float = 1.0
-    softness: float = 0.0
-    label: int = 0
-    components: Components = "both"
-    motion: PatchMotion | None = None
+    action: Annotated[Action, Choice()]
+    lines: Paths
+    radius: Positive
+    by: Vector = (0.0, 0.0)
+    amount: Number = 0.0
+    confidence: Share = 1.0
+    softness: Share = 0.0
+    label: Whole = 0
+    components: Annotated[Components, Choice()] = "both"
+    motion: _Motion = None
 
     @property
-    def _places(self) -> tuple[Point, ...]:
-        place = self.lines[0][0]
-        starts = () if self.motion is None else (self.motion.start,)
-        return (place, self.by, *starts) if self.action == "move" else (place, *starts)
+    def _places(self) -> list[Point]:
+        by = [self.by] if self.action == "move" else []
+        return [*chain.from_iterable(self.lines), *by, *_starts(self)]
 
     @property
     def moves_nowhere(self) -> bool:
@@ -297,11 +233,11 @@ class Stroke(_Checked):
     def onward(self, point: Point) -> Stroke:
         """Return the stroke with a point, in pixels, added to its last path."""
         *before, line = self.lines
-        return _with_lines(self, (*before, (*line, _checked("at", point))))
+        return _with_lines(self, (*before, (*line, convert(Vector, point, "point"))))
 
     def again(self, point: Point) -> Stroke:
         """Return the stroke with a new path that begins at a point, in pixels."""
-        return _with_lines(self, (*self.lines, (_checked("at", point),)))
+        return _with_lines(self, (*self.lines, (convert(Vector, point, "point"),)))
 
     def added_to(self, earlier: Stroke) -> Stroke | None:
         """Return the part added to an earlier stroke; None if the stroke does not extend it."""
@@ -355,9 +291,15 @@ def mark_from_dict(values: Mapping[str, Any]) -> Mark:
     """
     try:
         rest = dict(values)
+        if rest.get("motion") is not None:
+            rest["motion"] = PatchMotion.from_dict(rest["motion"])
         return _KINDS[rest.pop("kind")](**rest)
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"not a mark: {error}") from error
+
+
+def _starts(mark: Mark) -> list[Point]:
+    return [] if mark.motion is None else [mark.motion.start]
 
 
 def _with_lines(stroke: Stroke, lines: tuple[tuple[Point, ...], ...]) -> Stroke:

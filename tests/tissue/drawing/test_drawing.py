@@ -213,25 +213,31 @@ def test_tissue_follows_the_drawing():
 @pytest.mark.parametrize(
     ("make", "hint"),
     [
-        (lambda: Arrow((0, float("nan")), (1, 1), 2), r"Use finite numbers: \(row, col\)"),
-        (lambda: Arrow((0, 0), (1, float("inf")), 2), r"Use finite numbers: \(row, col\)"),
-        (lambda: Arrow((0, 0), "ab", 2), r"by 'ab'. Use finite numbers: \(row, col\)"),
-        (lambda: Stroke("expand", (((0, 0),),), 2, amount=None), "Use a number"),
-        (lambda: Stroke("tissue", (((0, 0),),), 2, label=0.5), "a whole number"),
-        (lambda: Arrow((0, 0, 0), (1, 1), 2), r"Use \(row, col\)"),
-        (lambda: Arrow((0, 0), (1, 1), 0), "above 0"),
-        (lambda: Arrow((0, 0), (1, 1), 2, confidence=0), "Remove the mark"),
-        (lambda: Arrow((0, 0), (1, 1), 2, components="z"), "both or row or col"),
-        (lambda: Landmark((0, 0), (1, 1), 2, confidence=1.5), "from 0 to 1"),
-        (lambda: Stroke("melt", (((0, 0),),), 1), "pin or free"),
-        (lambda: Stroke("pin", (), 1), "paths of a brush"),
-        (lambda: Stroke("pin", ((),), 1), "paths of a brush"),
+        (lambda: Arrow((0, float("nan")), (1, 1), 2), r"at must be finite numbers: \(row, col\)"),
+        (lambda: Arrow((0, 0), (1, float("inf")), 2), r"by must be finite numbers: \(row, col\)"),
+        (lambda: Stroke("tissue", (((0, 0),),), 2, label=0.5), "label must be a whole number"),
+        (lambda: Arrow((0, 0), (1, 1), 0), "radius must be a number above 0"),
+        (lambda: Arrow((0, 0), (1, 1), 2, confidence=0), "confidence must be .* above 0, up to 1"),
+        (lambda: Arrow((0, 0), (1, 1), 2, components="z"), "components must be both, row or col"),
+        (lambda: Landmark((0, 0), (1, 1), 2, sd=-1), "sd must be a length above 0, or 0"),
+        (lambda: Stroke("melt", (((0, 0),),), 1), "action must be pin, free"),
+        (lambda: Stroke("pin", (), 1), "lines must be the paths of a brush"),
+        (lambda: Stroke("pin", ((),), 1), "lines must be the paths of a brush"),
+        (lambda: Stroke("pin", (((0, 0),),), 1).onward((0,)), "point must be finite numbers"),
+        (lambda: Arrow((0, 0), (1, 1), 2, motion=(1, 1)), "motion must be a PatchMotion"),
+        (lambda: Arrow((0, 0, 0), (1, 1), 2), r"must all be \(row, col\)"),
+        (lambda: Stroke("pin", (((0, 0), (1, 2, 3)),), 1), r"must all be \(row, col\)"),
     ],
 )
 def test_invalid_marks_are_refused(make, hint):
-    with pytest.raises(ProblemError, match=hint) as refused:
+    with pytest.raises(ArgumentError, match=hint):
         make()
-    assert refused.value.field == "drawing"
+
+
+def test_a_path_may_be_an_array():
+    path = np.array([[0, 1], [2, 3]])
+    plain = Stroke("pin", (((0.0, 1.0), (2.0, 3.0)),), 1)
+    assert Stroke("pin", path[None], 1) == Stroke("pin", [path], 1) == plain
 
 
 # Edits
