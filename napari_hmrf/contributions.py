@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import napari
+import numpy as np
 from napari.utils.notifications import show_info
 
 from napari_hmrf.errors import FileFormatError, HmrfError
@@ -29,6 +30,7 @@ from napari_hmrf.layers.metadata import (
     layer_metadata,
 )
 from napari_hmrf.layers.result_layers import result_layers
+from napari_hmrf.layers.stored_size import stored_size
 from napari_hmrf.samples.chest import chest_phantom
 from napari_hmrf.samples.head import GROWTH, SAMPLE_SIZE, head_phantom
 from napari_hmrf.samples.mri import MRI_SCALE, mri_slices
@@ -259,6 +261,8 @@ def _place_of_images(n: int) -> tuple[dict[str, Any], list[int]]:
     if image.ndim == n:
         names = ("translate", "rotate", "shear", "affine")
         place |= {name: getattr(image, name) for name in names}
+        sizes, _ = stored_size(image)
+        place |= {"scale": 1 / np.array(sizes)} if sizes else {}
     return place, [*(file_axes_of(image) if image.ndim == n else ())] or [*range(n)]
 
 

@@ -44,7 +44,8 @@ class Geometry:
     affine : ndarray, shape (n + 1, n + 1)
         Homogeneous map from indices to positions.
     unit : str
-        Unit of length: "millimeter", or "pixel" if the size of a pixel is unknown.
+        Unit of length: "millimeter" in patient coordinates; the symbol of a unit for a picture,
+        which starts at the origin, or "pixel" if the size of its pixels is unknown.
     """
 
     shape: tuple[int, ...]

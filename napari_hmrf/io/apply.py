@@ -76,6 +76,8 @@ class FieldFile:
         Axis of the image file for each axis of the grid.
     number : int
         Index of a slice along the first axis of the grid.
+    unit_length : float
+        Length of the unit of the image in the unit of the grid.
     """
 
     field: Field
@@ -85,6 +87,7 @@ class FieldFile:
     parts: npt.NDArray[np.int32] | None = None
     file_axes: tuple[int, ...] = (0, 1, 2)
     number: int = 0
+    unit_length: float = 1.0
 
     @classmethod
     def of(cls, solution: Solution) -> FieldFile:
@@ -103,6 +106,7 @@ class FieldFile:
             if frame.ndim == 3
             else (0, 1, 2),
             frame.index[across[0]] if across else 0,
+            sizes[-1] / solution.spacing[-1],
         )
 
     @property
@@ -385,7 +389,10 @@ def _move_landmarks(
     field: FieldFile, path: str | os.PathLike[str], target: str | os.PathLike[str]
 ) -> Applied:
     file, name, n = read_points(path), Path(path).name, len(field.shape)
-    geometry, points = geometry_for(file, field.geometry, name, n), file.points
+    geometry, points = field.geometry, file.points
+    # BigWarp's coordinates are in the unit of the image.
+    geometry = geometry if file.unit else geometry.scaled(1 / field.unit_length)
+    geometry = geometry_for(file, geometry, name, n)
     # Coordinates from the first voxel of a volume are along the axes of its file, except those of
     # napari, which shows a volume along the axes of the field.
     from_first = file.unit != "mm" and points.shape[1] == 3

@@ -17,12 +17,19 @@ from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.field.brightness import edge_confidence
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.landmark_pairs import LandmarkPairs
+from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.field.warp import has_volume_loops
-from napari_hmrf.geometry import Geometry
 from napari_hmrf.io.apply import read_field_file
 from napari_hmrf.io.case_options import Case, energy_of, notes_on_ratio, weight_of
 from napari_hmrf.io.fields import geometry_of
-from napari_hmrf.io.images import ImageFile, read_image, shape_of, stem_of, write_image
+from napari_hmrf.io.images import (
+    ImageFile,
+    read_image,
+    result_suffix,
+    shape_of,
+    stem_of,
+    write_image,
+)
 from napari_hmrf.io.landmark_files import POINT_SUFFIXES, read_points
 from napari_hmrf.io.landmark_frames import in_pixels
 from napari_hmrf.io.overwriting import refuse_overwriting
@@ -82,14 +89,14 @@ def read_case(case: Case) -> Study:
     whole = read_image(case.image)
     _refuse_unused(case, whole.ndim == 2)
     image = _part(whole, case)
-    image.refuse_as_grid(case.image.name)
+    image.refuse_as_volume(case.image.name)
     grid = _grid(image, whole, case)
     labels = None if case.labels is None else _pixels(case, case.labels, whole, labels=True)
     scale = 1.0
     if case.maps:
         labels, scale = _most_likely(case, whole)
     materials, unit, notes = _materials(case.materials, labels)
-    notes = (*notes, *filter(None, [scale_in_words(scale), image.note_on_unit]))
+    notes = (*notes, *filter(None, [scale_in_words(scale)]))
     motion = replace(
         _motion(case, grid, whole),
         hold_edge=case.hold_edge,
@@ -161,8 +168,9 @@ class SolvedCase(NamedTuple):
 
 def _files_of(case: Case, folder: Path) -> tuple[Path, ...]:
     """Return the paths of all files that `solve_case` may write to a folder."""
-    name = stem_of(case.image)
-    images = (f"{name} deformed.nrrd", f"{name} deformed.tif")
+    name, suffix = stem_of(case.image), result_suffix(case.image)
+    suffixes = (".nrrd", ".tif") if is_study_file(case.image) else (suffix,)
+    images = (f"{name} deformed{suffix}" for suffix in suffixes)
     return tuple(folder / each for each in (f"{name}.study", *images))
 
 
@@ -227,13 +235,24 @@ def solve_case(
         if progress is not None and len(study.grid.shape) == 3 and not has_volume_loops():
             progress(Monitor("compiling the loops that move volumes, once per machine", 0.9))
         make_room(study.grid.shape, WARP)
-        moved = solution.warp(image)
-        geometry = None if study.grid.unit == "pixel" else geometry_of(solution)
-        file = ImageFile(moved, geometry, colours=moved.ndim > len(study.grid.shape))
-        write_image(folder / f"{name} deformed{'.nrrd' if geometry else '.tif'}", file)
+        suffix = result_suffix(case.image)
+        if is_study_file(case.image) and study.grid.unit == "pixel":
+            suffix = ".tif"
+        file = result_image(solution.warp(image), solution, suffix)
+        write_image(folder / f"{name} deformed{suffix}", file)
     write_study(folder / f"{name}.study", study, solution)
     notes = (*caveats, *drift_clauses(solution), *notes)
     return SolvedCase(study, solution, folds, notes)
+
+
+def result_image(pixels: npt.NDArray[Any], solution: Solution, suffix: str) -> ImageFile:
+    """Return an image on the grid of a solution, for a file with a suffix of `result_suffix`."""
+    colours = pixels.ndim > solution.tissue.ndim
+    if suffix != ".tif":
+        return ImageFile(pixels, geometry_of(solution), colours)
+    is_known = solution.unit != "pixel" or len({*solution.spacing}) > 1
+    sizes = tuple(solution.spacing) if is_known else ()
+    return ImageFile(pixels, colours=colours, sizes=sizes, unit=solution.unit)
 
 
 def _part(image: ImageFile, case: Case) -> ImageFile:
@@ -256,10 +275,9 @@ def _grid(part: ImageFile, whole: ImageFile, case: Case) -> Grid:
     """Return the grid of a slice or a volume, with its place in space."""
     n, is_slice = part.ndim, whole.ndim > 2 and case.slice is not None
     shape = part.pixels.shape[:n]
+    geometry, number = (whole.grid, case.slice) if is_slice else (part.grid, 0)
     if whole.geometry is None and n == whole.ndim == 2:
-        return Grid(shape, (1.0, 1.0))
-    geometry, number = (whole.geometry, case.slice) if is_slice else (part.geometry, 0)
-    geometry = geometry or Geometry.at_origin((1,) * (3 - n) + shape)
+        return Grid(shape, geometry.spacing, geometry.unit)
     frame = replace(Frame.of_geometry(geometry, number or 0), file_axes=part.order)
     if n == 3:
         frame = replace(frame, plane=(0, 1, 2))
@@ -421,9 +439,9 @@ def _landmarks(case: Case, path: Path, grid: Grid, whole: ImageFile) -> Drawing:
             "contains landmarks without target positions. Give pairs of landmarks, as written by "
             "BigWarp.",
         )
-    names = path.name, case.image.name
     ends = [
-        in_pixels(file, points, whole, *names, case.slice) for points in (file.points, file.targets)
+        in_pixels(file, points, whole, path.name, case.slice)
+        for points in (file.points, file.targets)
     ]
     if any((abs(at[:, :-n]) > 0.5).any() for at in ends):
         raise ProblemError(
@@ -446,7 +464,7 @@ def _landmarks(case: Case, path: Path, grid: Grid, whole: ImageFile) -> Drawing:
         raise ProblemError(
             path.name,
             f"has {outside} of {len(sources)} landmarks outside the image. Check that the "
-            f"coordinates are in {'pixels' if whole.geometry is None else 'mm'} along the axes of "
+            f"coordinates are in {unit_symbol(grid.unit)} along the axes of "
             f"{case.image.name}, and remove landmarks outside the image.",
         )
     most = largest_spread(grid.shape, grid.spacing)

@@ -25,7 +25,7 @@ from napari_hmrf.errors import ArgumentError, FileFormatError, ProblemError
 from napari_hmrf.field.displacement_field import Field
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.inverse_field import inverse_displacement
-from napari_hmrf.field.units import SAME_SPACING, UNKNOWN_UNITS, unit_factor
+from napari_hmrf.field.units import SAME_SPACING, UNKNOWN_UNITS, is_length, unit_factor
 from napari_hmrf.field.warp import as_field
 from napari_hmrf.geometry import Geometry, is_orthogonal
 from napari_hmrf.io.itk_files import (
@@ -281,7 +281,9 @@ def geometry_of(solution: Solution) -> Geometry:
         If the pixels are not rectangular, or the unit of an axis is not a unit of length.
     """
     if not solution.frame:
-        return Geometry.at_origin(solution.tissue.shape, solution.spacing)
+        factor = unit_factor(solution.unit, "millimeter")
+        geometry = Geometry.at_origin(solution.tissue.shape, solution.spacing)
+        return replace(geometry.scaled(factor), unit="mm") if np.isfinite(factor) else geometry
     geometry = Frame.of_solution(solution).geometry(solution.tissue.shape)
     check_rotation(geometry.direction, geometry.ndim)
     return geometry
@@ -410,17 +412,13 @@ def place_solution(
             "pictures (.png, .tif), which have no position, pass placed=False to write the field "
             "at the origin.",
         )
-    displacement, geometry = placed(solution)
-    if solution.frame or solution.unit in UNKNOWN_UNITS:
-        return displacement, geometry
-    factor = unit_factor(solution.unit, "millimeter")
-    if not np.isfinite(factor):
+    if not solution.frame and not is_length(solution.unit):
         raise ProblemError(
             "displacement",
             f"is in {shown(solution.unit)}, which is not a unit of length. Set the unit of the "
             'study\'s grid to a unit of length, such as "mm".',
         )
-    return displacement * factor, geometry.scaled(factor)
+    return placed(solution)
 
 
 def _stated_type(metadata: Mapping[str, str]) -> str:

@@ -70,12 +70,12 @@ def grid_of_image(
             "use Grid(shape, spacing)."
         )
     shape, n = geometry.shape, geometry.ndim
-    is_placed = geometry.unit != "pixel"
+    is_placed = geometry.unit == "millimeter"
     if is_placed:
         geometry = _right_angled(geometry)
         frame = Frame.of_geometry(geometry, volume=n == 3)
     else:
-        frame = Frame.at((1.0,) * n, ("pixel",) * n, volume=n == 3)
+        frame = Frame.at(geometry.spacing, (geometry.unit,) * n, volume=n == 3)
     grid = Grid(shape, frame.spacing, geometry.unit, frame if is_placed else None)
     if slice is None:
         return grid
@@ -106,9 +106,9 @@ def _slice_of(grid: Grid, frame: Frame, number: int, axis: int) -> Grid:
 def _of_file(path: str | os.PathLike[str], across: int | None) -> Geometry:
     """Return the grid of an image file, of which one slice may be used."""
     image = read_image(path)
-    is_stack = across == 0 and image.ndim == 3  # a slice of it is an image
-    (image._replace(pixels=image.pixels[0]) if is_stack else image).refuse_as_grid(Path(path).name)
-    return image.geometry or Geometry.at_origin(image.pixels.shape[: image.ndim])
+    if across != 0:  # a slice along the first axis of a stack is an image
+        image.refuse_as_volume(Path(path).name)
+    return image.grid
 
 
 def _right_angled(geometry: Geometry) -> Geometry:

@@ -8,6 +8,7 @@ SimpleITK, which the extra ``medical`` installs.
 from __future__ import annotations
 
 import io
+import math
 import os
 from contextlib import suppress
 from itertools import combinations, permutations
@@ -20,6 +21,7 @@ import numpy.typing as npt
 from napari_hmrf.arguments import checked_path, checked_target
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
+from napari_hmrf.field.units import is_length, unit_factor
 from napari_hmrf.geometry import Geometry
 from napari_hmrf.io.itk_files import (
     ItkImage,
@@ -30,13 +32,15 @@ from napari_hmrf.io.itk_files import (
     read_itk_series,
 )
 from napari_hmrf.regular_file import refuse_irregular
-from napari_hmrf.solver.problem import grid_in_words
 
-#: Largest relative difference between the sides of pixels that are considered square.
-_SQUARE = 1e-3
 #: Axes of .tif files that are not axes of space, with their content, and the unit of OME's sizes.
 _NO_SPACE, _OME_UNIT = {"C": "channels", "T": "times"}, "µm"
-#: Suffixes of pictures.
+#: Units of length in .tif files, which have several names there.
+_UNITS = ("µm", "nm", "mm", "cm", "inch")
+#: Types of pixels in files of ImageJ.
+_IMAGEJ = ("uint8", "uint16", "float32")
+#: Suffixes of .tif files, and of all pictures.
+TIFF = (".tif", ".tiff")
 PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp")
 #: Suffix of segmentations of 3D Slicer.
 _SEGMENTS = ".seg.nrrd"
@@ -44,6 +48,8 @@ _SEGMENTS = ".seg.nrrd"
 _OTHER_SUFFIXES = (".study", ".npz", ".csv", ".fcsv", ".mrk.json", ".h5", ".tfm", ".txt")
 #: Suffixes of medical images.
 MEDICAL_SUFFIXES = (".nii.gz", ".nii", ".mha", ".mhd", ".nrrd", ".nhdr", ".dcm")
+#: Suffixes of medical images that are also written: neither DICOM, nor formats with two files.
+_WRITTEN = (".nii.gz", ".nii", ".mha", ".nrrd")
 
 
 class ImageFile(NamedTuple):
@@ -58,10 +64,11 @@ class ImageFile(NamedTuple):
         True if the last axis contains colour channels.
     stack : str
         Content of the first of three axes, such as "channels", if it is not depth; "" if it is.
-    calibration : tuple of float
-        Size of a pixel along each axis in the unit `unit`, as programs for microscopy store it in
-        .tif files. Lengths in such images are in pixels all the same.
+    sizes : tuple of float
+        Size of a pixel along each axis of a picture, as programs for microscopy store it in .tif
+        files; empty if it is unknown.
     unit : str
+        Unit of `sizes`.
     order : tuple of int
         Axis of the file for each axis of the volume, if its axes were reordered.
     """
@@ -70,8 +77,8 @@ class ImageFile(NamedTuple):
     geometry: Geometry | None = None
     colours: bool = False
     stack: str = ""
-    calibration: tuple[float, ...] = ()
-    unit: str = ""
+    sizes: tuple[float, ...] = ()
+    unit: str = "pixel"
     order: tuple[int, ...] = ()
 
     @property
@@ -190,8 +197,8 @@ class ImageFile(NamedTuple):
                 "does not store a place.",
             )
 
-    def refuse_as_grid(self, name: str) -> None:
-        """Raise an error if the pixels are not the rectangular pixels of an image or a volume.
+    def refuse_as_volume(self, name: str) -> None:
+        """Raise an error for a stack of slices that is not a volume.
 
         Parameters
         ----------
@@ -201,53 +208,26 @@ class ImageFile(NamedTuple):
         Raises
         ------
         ProblemError
-            If the image is a .tif whose first axis is not depth, or whose pixels are not squares
-            or cubes.
+            If the first of three axes is not depth, or the distance of the slices is unknown.
         """
+        if self.ndim == 3 and 0.0 in self.sizes:
+            raise ProblemError(
+                name,
+                "states the size of its pixels, but not the distance of its slices. Set it, in "
+                "Fiji by Image > Properties.",
+            )
         if self.ndim == 3 and self.stack:
             raise ProblemError(
                 name,
                 f"is a stack of {len(self.pixels)} {self.stack}, not a volume. Give one of them "
                 "(`slice=N`), or save the image without the others.",
             )
-        sizes = self.calibration[-self.ndim :]
-        if sizes and max(sizes) > (1 + _SQUARE) * min(sizes):
-            kind = "squares" if self.ndim == 2 else "cubes"
-            raise ProblemError(
-                name,
-                f"has pixels of {grid_in_words(sizes)} {self.unit}, but pixels of this format "
-                f"count as {kind}. Save the image as .nrrd or .nii.gz, with its spacing in mm.",
-            )
-
-    def refuse_lengths(self, name: str, file: str) -> None:
-        """Raise an error for landmarks in the unit of a .tif, whose pixels have another size.
-
-        Parameters
-        ----------
-        name, file : str
-            Names of the image file and of the landmark file, for the error message.
-
-        Raises
-        ------
-        ProblemError
-            If the image states the size of its pixels, and this size is not 1.
-        """
-        if any(abs(size - 1) > _SQUARE for size in self.calibration):
-            raise ProblemError(
-                file,
-                f"contains landmarks in {self.unit}, the unit of {name}, but lengths in this image "
-                f"are in pixels. Divide the coordinates by {grid_in_words(self.calibration[::-1])} "
-                f"(x, y, ...), and remove the scale from {name}; or save {name} as .nrrd or "
-                ".nii.gz with its spacing, and the landmarks, in mm.",
-            )
 
     @property
-    def note_on_unit(self) -> str:
-        """Clause for the user about the unit of lengths; "" if the file states no other unit."""
-        if not self.calibration:
-            return ""
-        sizes = grid_in_words(self.calibration[-self.ndim :])
-        return f"lengths are in pixels: the file states pixels of {sizes} {self.unit}"
+    def grid(self) -> Geometry:
+        """Grid of the pixels; that of a picture starts at the origin."""
+        shape = self.pixels.shape[: self.ndim]
+        return self.geometry or Geometry.at_origin(shape, self.sizes[-self.ndim :], self.unit)
 
     @property
     def ndim(self) -> int:
@@ -352,6 +332,14 @@ def stem_of(path: str | os.PathLike[str]) -> str:
     return name[: len(name) - longest] or name
 
 
+def result_suffix(path: str | os.PathLike[str]) -> str:
+    """Return the suffix for images computed from an image file: its own, if it is written."""
+    name = Path(path).name.lower()
+    if name.endswith(PICTURE_SUFFIXES):
+        return ".tif"
+    return next((each for each in _WRITTEN if name.endswith(each)), ".nrrd")
+
+
 def is_scan(path: str | os.PathLike[str]) -> bool:
     """Return whether a path has the suffix of a medical image, or is a folder with DICOM files.
 
@@ -390,7 +378,7 @@ def write_image(path: str | os.PathLike[str], image: ImageFile) -> Path:
     """
     target = Path(checked_target(path))
     name = target.name.lower()
-    kinds = (*PICTURE_SUFFIXES, *(each for each in MEDICAL_SUFFIXES if each not in _PARTED))
+    kinds = (*PICTURE_SUFFIXES, *_WRITTEN)
     suffix = next((each for each in kinds if name.endswith(each)), "")
     if not suffix:
         raise FileFormatError(
@@ -410,14 +398,9 @@ def write_image(path: str | os.PathLike[str], image: ImageFile) -> Path:
     return target
 
 
-_TIFF = (".tif", ".tiff")
-#: Suffixes of formats that are read but not written: formats with two files, and DICOM.
-_PARTED = (".mhd", ".nhdr", ".dcm")
-
-
 def _read_picture(source: Path) -> ImageFile:
     try:
-        image = (_read_tiff if source.suffix.lower() in _TIFF else _read_photo)(source)
+        image = (_read_tiff if source.suffix.lower() in TIFF else _read_photo)(source)
     except Exception as error:
         raise _unreadable(source) from error
     pixels = image.pixels
@@ -428,6 +411,11 @@ def _read_picture(source: Path) -> ImageFile:
     if image.ndim not in (2, 3):
         raise FileFormatError(
             f"{source.name}: the image has shape {pixels.shape}. Give an image with 2 or 3 axes."
+        )
+    if not is_length(image.unit):
+        raise FileFormatError(
+            f"{source.name}: the size of its pixels is in {image.unit!r}, which is not a unit of "
+            "length. Set the unit, in Fiji by Image > Properties."
         )
     return image
 
@@ -452,51 +440,105 @@ def _read_tiff(source: Path) -> ImageFile:
         first = file.series[0]
         pixels, axes = np.asarray(first.asarray()), first.axes
         colours = axes.endswith("S") and pixels.shape[-1] in (3, 4)
-        image = ImageFile(pixels, colours=colours, stack=_NO_SPACE.get(axes[0], ""))
-        with suppress(KeyError, TypeError, ValueError, ArithmeticError):  # invalid metadata
-            image = image._replace(**_calibration(file, image))
-        return image
+        sizes, unit = _pixel_size(file, axes)
+        return ImageFile(pixels, None, colours, _NO_SPACE.get(axes[0], ""), sizes, unit)
 
 
-def _calibration(file: Any, image: ImageFile) -> dict[str, Any]:
-    """Return the size of a pixel and its unit, as ImageJ or OME store them, or nothing."""
+def pixel_size_of(path: str | os.PathLike[str]) -> tuple[tuple[float, ...], str]:
+    """Return the size of a pixel along each axis of a .tif file, without colours, and its unit.
+
+    Parameters
+    ----------
+    path : str or path-like
+
+    Returns
+    -------
+    sizes : tuple of float
+        1 for axes that are not axes of space, and 0 if the distance of slices is unknown; empty if
+        no size is known.
+    unit : str
+    """
     import tifffile  # heavy: tifffile
 
-    if file.ome_metadata:
-        images = tifffile.xml2dict(file.ome_metadata)["OME"]["Image"]
-        stated = (images[0] if isinstance(images, list) else images)["Pixels"]
-        sizes = [stated.get(f"PhysicalSize{axis}") for axis in "ZYX"]
-        units = {stated.get(f"PhysicalSize{axis}Unit", _OME_UNIT) for axis in "YX"}
-        unit = " or ".join(sorted(units))
-    elif file.imagej_metadata:
-        stated = file.imagej_metadata
-        unit = stated.get("unit", "").replace("\\u00B5", "µ") or "pixel"
-        tags = file.pages[0].tags
-        names = [f"{axis}Resolution" for axis in "YX" if not unit.startswith("pixel")]
-        along = [tags[name].value for name in names if name in tags]
-        sizes = [below / above for above, below in along if above] or [1.0, 1.0]
-        sizes = [stated.get("spacing", 1.0), *sizes]
-    else:
-        return {}
-    sizes = [*map(float, filter(None, sizes[-image.ndim :]))]
-    is_known = len(sizes) == image.ndim and min(sizes) > 0
-    is_known = is_known and any(abs(size - 1) > _SQUARE for size in sizes)
-    return {"calibration": tuple(sizes), "unit": unit} if is_known else {}
+    with tifffile.TiffFile(checked_path(path)) as file:
+        return _pixel_size(file, file.series[0].axes)
+
+
+def _pixel_size(file: Any, axes: str) -> tuple[tuple[float, ...], str]:
+    """Return the size of a pixel as ImageJ or OME store it; see `pixel_size_of`."""
+    with suppress(KeyError, TypeError, ValueError, ArithmeticError):  # invalid metadata
+        if file.ome_metadata:
+            sizes, unit = _ome_size(file)
+        elif file.imagej_metadata:
+            sizes, unit = _imagej_size(file)
+        else:
+            return (), "pixel"
+        if min(sizes["Y"], sizes["X"]) > 0 and (unit != "pixel" or sizes["Z"] != 1):
+            sides = tuple(sizes.get(axis, 1.0) for axis in axes.rstrip("S"))
+            known = (each for each in _UNITS if math.isclose(unit_factor(unit, each), 1.0))
+            return sides, next(known, unit)
+    return (), "pixel"
+
+
+def _ome_size(file: Any) -> tuple[dict[str, float], str]:
+    import tifffile  # heavy: tifffile
+
+    images = tifffile.xml2dict(file.ome_metadata)["OME"]["Image"]
+    stated = (images[0] if isinstance(images, list) else images)["Pixels"]
+    units = {axis: stated.get(f"PhysicalSize{axis}Unit", _OME_UNIT) for axis in "ZYX"}
+    sizes = {
+        axis: float(stated.get(f"PhysicalSize{axis}", 0)) * unit_factor(unit, units["X"])
+        for axis, unit in units.items()
+    }
+    return sizes, units["X"]
+
+
+def _imagej_size(file: Any) -> tuple[dict[str, float], str]:
+    stated, tags = file.imagej_metadata, file.pages[0].tags
+    unit = stated.get("unit", "").replace("\\u00B5", "µ") or "pixel"
+    sizes = {"Z": float(stated.get("spacing", 1.0)), "Y": 1.0, "X": 1.0}
+    if unit.startswith("pixel"):
+        return sizes, "pixel"
+    for axis in "YX":
+        above, below = tags[f"{axis}Resolution"].value
+        sizes[axis] = below / above
+    return sizes, unit
 
 
 def _encode(target: Path, image: ImageFile, suffix: str) -> bytes:
-    if suffix in _TIFF:
-        import tifffile  # heavy: tifffile
-
-        file = io.BytesIO()
-        tifffile.imwrite(file, image.pixels, photometric="rgb" if image.colours else "minisblack")
-        return file.getvalue()
+    if suffix in TIFF:
+        return _encode_tiff(image)
     if suffix in PICTURE_SUFFIXES:
         return _encode_picture(image.pixels, suffix)
     pixels = image.pixels_in_place
     geometry = image.geometry or Geometry.at_origin(pixels.shape[: image.ndim])
     components = pixels.shape[-1] if image.colours else 1
     return encode(target, ItkImage(pixels, components, geometry, {}), suffix)
+
+
+def _encode_tiff(image: ImageFile) -> bytes:
+    """Return the bytes of a .tif, with the size of its pixels for ImageJ, or else as OME."""
+    import tifffile  # heavy: tifffile
+
+    pixels, unit = image.pixels, image.unit
+    first = next((axis for axis, content in _NO_SPACE.items() if content == image.stack), "Z")
+    options: dict[str, Any] = {"photometric": "rgb" if image.colours else "minisblack"}
+    if image.sizes or image.stack:
+        depth, *sides = (1.0, *image.sizes)[-3:] if image.sizes else (1.0, 1.0, 1.0)
+        axes = f"{first}YX"[-image.ndim :] + "S" * image.colours
+        is_colour = image.colours and pixels.dtype != np.uint8
+        if pixels.dtype in _IMAGEJ and not is_colour:
+            about = {"axes": axes, "spacing": depth, "unit": unit.replace("µ", "u")}
+            options |= {"imagej": True, "resolution": tuple(1 / side for side in sides[::-1])}
+        else:
+            along = dict(zip("ZYX", (depth, *sides), strict=True))
+            about = {f"PhysicalSize{axis}": size for axis, size in along.items()}
+            about |= {f"PhysicalSize{axis}Unit": unit for axis in along} | {"axes": axes}
+            options["ome"] = True
+        options["metadata"] = about
+    file = io.BytesIO()
+    tifffile.imwrite(file, pixels, **options)
+    return file.getvalue()
 
 
 def _encode_picture(pixels: npt.NDArray[Any], suffix: str) -> bytes:

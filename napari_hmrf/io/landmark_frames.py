@@ -18,7 +18,6 @@ def in_pixels(
     points: Points,
     image: ImageFile,
     name: str,
-    image_name: str,
     number: int | None = None,
 ) -> Points:
     """Convert points of a landmark file to pixels of an image, as it is solved.
@@ -33,8 +32,8 @@ def in_pixels(
         Its points or targets.
     image : ImageFile
         Image as it is stored.
-    name, image_name : str
-        Names of both files, for error messages.
+    name : str
+        Name of the landmark file, for error messages.
     number : int, optional
         Index of the slice that is solved; by default, the whole image is solved.
 
@@ -49,30 +48,28 @@ def in_pixels(
     ProblemError
         If the number or the unit of the coordinates is not that of the image.
     """
-    if not file.unit:
-        image.refuse_lengths(image_name, name)
-    whole, solved = image.geometry, image.laid_out
+    whole, solved = image.grid, image.laid_out
     if number is not None:
-        whole, solved = None if whole is None else whole.slice_at(number), image
+        whole, solved = whole.slice_at(number), image
     n = 2 if number is not None else solved.ndim
     of_points = geometry_for(file, whole, name, n)
     at = of_points.to_pixels(points)
     if number is None:
-        if image.ndim == 3 and whole is not None and solved.geometry is not None:
-            at = solved.geometry.to_pixels(whole.to_world(at))
+        if image.ndim == 3:
+            at = solved.grid.to_pixels(whole.to_world(at))
     elif of_points is not whole:
         at -= [*[number] * (at.shape[1] - 2), 0, 0]
     return at
 
 
-def geometry_for(file: LandmarkFile, geometry: Geometry | None, name: str, n: int) -> Geometry:
+def geometry_for(file: LandmarkFile, geometry: Geometry, name: str, n: int) -> Geometry:
     """Return the grid used to convert the points of a landmark file to pixels.
 
     Parameters
     ----------
     file : LandmarkFile
-    geometry : Geometry or None
-        Grid of the image; None if it has no place.
+    geometry : Geometry
+        Grid of the image.
     name : str
         Name of the file, for error messages.
     n : int
@@ -87,17 +84,22 @@ def geometry_for(file: LandmarkFile, geometry: Geometry | None, name: str, n: in
     ------
     ProblemError
         If the number of coordinates is neither the number of axes of the field nor that of the
-        image.
+        image, or the points are in patient coordinates and the image is not.
     """
-    axes = file.points.shape[1]
-    image_axes = n if geometry is None else geometry.ndim
+    if file.unit == "mm" and geometry.unit != "millimeter":
+        raise ProblemError(
+            name,
+            "contains positions in the patient, but the image has none. Give an image with a "
+            "position, such as .nii.gz or .nrrd, or landmarks of BigWarp.",
+        )
+    axes, image_axes = file.points.shape[1], geometry.ndim
     if axes not in (n, image_axes):
         raise ProblemError(
             name,
             f"contains points with {axes} coordinates, but the image has {image_axes} axes. Give "
             f"points with {image_axes} coordinates.",
         )
-    if geometry is not None and file.unit == "mm" and axes == image_axes:
+    if file.unit == "mm" and axes == image_axes:
         return geometry
-    spacing = () if geometry is None or file.unit == "pixel" else geometry.spacing[-axes:]
+    spacing = () if file.unit == "pixel" else geometry.spacing[-axes:]
     return Geometry.at_origin((1,) * axes, spacing)

@@ -21,10 +21,10 @@ from napari_hmrf.errors import HmrfError, ProblemError, naming
 from napari_hmrf.extras import how_to_install
 from napari_hmrf.field.brightness import luminance
 from napari_hmrf.field.units import unit_factor, unit_symbol
-from napari_hmrf.io.case import read_case
+from napari_hmrf.io.case import read_case, result_image
 from napari_hmrf.io.case_options import Case
-from napari_hmrf.io.fields import geometry_of, write_mapping
-from napari_hmrf.io.images import ImageFile, read_image, shape_of, stem_of, write_image
+from napari_hmrf.io.fields import placed, write_mapping
+from napari_hmrf.io.images import read_image, result_suffix, shape_of, stem_of, write_image
 from napari_hmrf.io.itk_files import has_simpleitk
 from napari_hmrf.io.landmark_files import read_points
 from napari_hmrf.io.landmark_frames import in_pixels
@@ -35,6 +35,7 @@ from napari_hmrf.registration.alignment import align
 from napari_hmrf.registration.register import register
 from napari_hmrf.registration.result import Registration
 from napari_hmrf.solver.optimizers import Monitor
+from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import Progress
 from napari_hmrf.solver.uncertain_landmarks import Landmarks, are_outside
@@ -153,7 +154,7 @@ def register_files(
     """
     started = time.perf_counter()
     names = _Names.of(case)
-    refuse_overwriting(names.all_in(folder), overwrite=overwrite)
+    refuse_overwriting([folder / name for name in names], overwrite=overwrite)
     if case.alignment is not None and not has_simpleitk():
         raise HmrfError(
             f"--{case.alignment} requires SimpleITK, which is not installed: "
@@ -196,7 +197,7 @@ def register_files(
     notes = [*pair.notes, *_notes_on(found, solution, pair, marks)]
     report(Monitor("writing the results", 1.0))
     write_study(folder / names.study, study, solution)
-    notes += _write_images(folder, names, pair, found)
+    notes += _write_images(folder, names, pair, found, result_suffix(case.fixed))
     content = _report_of(case, pair, found, time.perf_counter() - started)
     if found.similarity <= min(found.similarity_before, _ALIKE):
         notes.append(
@@ -209,7 +210,7 @@ def register_files(
 
 
 class _Names(NamedTuple):
-    """Names of the written files, without suffix for images."""
+    """Names of the written files."""
 
     study: str
     deformed: str
@@ -221,19 +222,15 @@ class _Names(NamedTuple):
     @classmethod
     def of(cls, case: RegistrationCase) -> _Names:
         fixed, moving = (stem_of(path) for path in (case.fixed, case.moving))
+        suffix = result_suffix(case.fixed)
         return cls(
             f"{fixed}.study",
-            f"{fixed} deformed",
-            f"{moving} registered",
-            f"{fixed} jacobian",
+            f"{fixed} deformed{suffix}",
+            f"{moving} registered{suffix}",
+            f"{fixed} jacobian{suffix}",
             f"{fixed} to {moving} field.mha",
             f"{fixed} registration.json",
         )
-
-    def all_in(self, folder: Path) -> list[Path]:
-        images = (self.deformed, self.registered, self.jacobian)
-        files = [f"{image}{suffix}" for image in images for suffix in (".nrrd", ".tif")]
-        return [folder / name for name in (self.study, *files, self.field, self.report)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -359,7 +356,7 @@ def _refuse_other_dimension(case: RegistrationCase, study: Study, other: Study) 
 
 
 def _is_placed(grid: Grid) -> bool:
-    return grid.place is not None and grid.unit != "pixel"
+    return grid.place is not None and grid.unit == "millimeter"
 
 
 def relative_place(
@@ -392,6 +389,13 @@ def relative_place(
             "positions, or two images without.",
         )
     if not placed[0]:
+        if grid.unit != moving.unit:
+            raise ProblemError(
+                names[1],
+                f"has pixels of {grid_in_words(moving.spacing)} {moving.unit}, but those of "
+                f"{names[0]} are {grid_in_words(grid.spacing)} {grid.unit}. Save both images with "
+                "the size of a pixel, in the same unit.",
+            )
         return np.eye(n + 1), ()
     if unit_factor(moving.unit, grid.unit) != 1:
         raise ProblemError(
@@ -488,7 +492,7 @@ def _landmarks(case: RegistrationCase, pair: _Pair, matrix: Float64Array) -> Lan
         )
     n, sizes = len(pair.spacing), np.asarray(pair.spacing)
     points, targets = (
-        in_pixels(file, points, read_image(image), name, image.name)[:, -n:]
+        in_pixels(file, points, read_image(image), name)[:, -n:]
         for image, points in ((case.fixed, file.points), (case.moving, file.targets))
     )
     if not len(points):
@@ -551,11 +555,11 @@ def _notes_on(
     return notes
 
 
-def _write_images(folder: Path, names: _Names, pair: _Pair, found: Registration) -> list[str]:
+def _write_images(
+    folder: Path, names: _Names, pair: _Pair, found: Registration, suffix: str
+) -> list[str]:
     """Write images and field; return notes about files that were not written."""
-    grid, solution = pair.study.grid, found.solution
-    geometry = geometry_of(solution)
-    suffix = ".nrrd" if _is_placed(grid) else ".tif"
+    solution = found.solution
     image, other = pair.study.pictures.image, pair.other.pictures.image
     assert image is not None
     assert other is not None
@@ -565,12 +569,12 @@ def _write_images(folder: Path, names: _Names, pair: _Pair, found: Registration)
         names.jacobian: solution.jacobian(),
     }
     for name, pixels in pictures.items():
-        place = geometry if _is_placed(grid) else None
-        file = ImageFile(pixels, place, colours=pixels.ndim > len(grid.shape))
-        write_image(folder / f"{name}{suffix}", file)
+        write_image(folder / name, result_image(pixels, solution, suffix))
     if not has_simpleitk():
         return [f"{names.field} was not written, because SimpleITK is not installed"]
-    write_mapping(folder / names.field, _whole_displacement(pair, found), **geometry.as_itk)
+    whole = replace(solution, displacement=_whole_displacement(pair, found))
+    displacement, geometry = placed(whole)
+    write_mapping(folder / names.field, displacement, **geometry.as_itk)
     return []
 
 

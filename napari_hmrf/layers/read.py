@@ -15,6 +15,7 @@ from napari_hmrf.field.brightness import edge_confidence
 from napari_hmrf.field.displacement_field import Field
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.observation import arrow_observation
+from napari_hmrf.field.units import SAME_SPACING
 from napari_hmrf.layers.arrow_layer import NAME as ARROWS
 from napari_hmrf.layers.field_layer import field_layer, field_of, holds_field
 from napari_hmrf.layers.label_colours import boundary_colours
@@ -32,6 +33,7 @@ from napari_hmrf.layers.metadata import (
 from napari_hmrf.layers.pixel_copy import LayerCopies
 from napari_hmrf.layers.result_layers import layer_on
 from napari_hmrf.layers.slice_view import View, check_size, frame_of, plane_shape, view_of
+from napari_hmrf.layers.stored_size import stored_size
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.volume_memory import STUDY, require_memory
@@ -156,6 +158,7 @@ class _Reader:
         if (skew := self._frame.skew) > _RIGHT_ANGLE:
             sheared = f"the pixels are sheared by {skew:.1f} degrees, but treated as rectangles"
             self._notes.append(sheared)
+        self._note_stored_size()
         if request.view is not None and request.view.tilts(self._frame):
             self._notes.append(
                 f"napari cannot display '{reference.name}' tilted relative to the slice plane, so "
@@ -164,6 +167,25 @@ class _Reader:
             )
         if any(layer.multiscale for layer in request.grid_layers):
             self._notes.append(f"computed on the finest level, {grid_in_words(self._shape)}")
+
+    def _note_stored_size(self) -> None:
+        """Note that the file of the reference states a size of its pixels, which napari ignores."""
+        reference = self._reference
+        sizes, unit = stored_size(reference)
+        if not sizes:
+            return
+        seen = [sizes[axis] for axis in self._frame.plane]
+        if max(seen) > (1 + SAME_SPACING) * min(seen):
+            raise LayerError(
+                reference,
+                f"has pixels of {grid_in_words(seen)} {unit} in its file, but napari shows them "
+                f"with equal sides. Set its scale in the console: layer.scale = {sizes}; "
+                f"layer.units = ({unit!r},) * {len(sizes)}",
+            )
+        self._notes.append(
+            f"lengths are in pixels: the file of '{reference.name}' states pixels of "
+            f"{grid_in_words(seen)} {unit}"
+        )
 
     def study(self) -> Study:
         request, frame, reference = self._request, self._frame, self._reference

@@ -166,7 +166,7 @@ def test_the_shell_and_python_give_the_same_field(files, capsys):
     expected = solve(problem, study.prior.__class__(0.49), backend="cpu")
     np.testing.assert_allclose(solution.displacement, expected.displacement, atol=1e-5)
     np.testing.assert_array_equal(study.pictures.image, scan[1])
-    seen = read_image(out / "scan deformed.nrrd")
+    seen = read_image(out / "scan deformed.nii.gz")
     assert seen.pixels.shape == SHAPE
     np.testing.assert_allclose(seen.geometry.origin, (-10, 20, 7)), "the second slice"
     assert main(["replay", str(out / "scan.study")]) == 0

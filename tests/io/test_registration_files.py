@@ -82,7 +82,7 @@ def test_simpleitk_moves_the_second_image_to_the_first_with_the_written_field(pa
     fixed, moving = (sitk.ReadImage(f"{name}.mha") for name in ("before", "after"))
     field = sitk.ReadImage("out/before to after field.mha", sitk.sitkVectorFloat64)
     moved = sitk.Resample(moving, fixed, sitk.DisplacementFieldTransform(field))
-    ours = read_image("out/after registered.nrrd").pixels
+    ours = read_image("out/after registered.mha").pixels
     difference = sitk.GetArrayFromImage(moved) - ours
     assert np.abs(difference)[INNER].max() < 1e-3
     assert np.abs(ours - sitk.GetArrayFromImage(fixed))[INNER].mean() < 0.02
@@ -95,10 +95,10 @@ def test_simpleitk_moves_the_second_image_to_the_first_with_the_written_field(pa
     assert study.motion.measured.record["second image"] == "after"
     assert cli.main(["replay", "out/before.study"]) == 0
     assert "identical" in (said := capsys.readouterr().out) or "within its tolerance" in said
-    deformed = read_image("out/before deformed.nrrd").pixels
+    deformed = read_image("out/before deformed.mha").pixels
     after = read_image("after.mha").pixels
     assert np.abs(deformed - after)[INNER].mean() < 0.02
-    jacobian = read_image("out/before jacobian.nrrd").pixels
+    jacobian = read_image("out/before jacobian.mha").pixels
     np.testing.assert_allclose(jacobian, solution.jacobian(), atol=0.01)
 
 
@@ -150,7 +150,7 @@ def test_a_volume_in_another_orientation_is_registered():
     found = read_study("out/before.study").solution.displacement
     inner = (slice(6, -6),) * 3
     assert np.linalg.norm(found - truth, axis=-1)[inner].mean() < 0.2
-    sides = read_image("out/after registered.nrrd").pixels - before
+    sides = read_image("out/after registered.nii.gz").pixels - before
     assert np.abs(sides)[inner].mean() < 0.02
 
 
@@ -165,7 +165,7 @@ def test_bone_from_labels_stays_rigid_and_void_stays_in_place(pair, folder):
     assert register("before.mha", "after.mha", *tissue) == 0
     field = read_field("out/before to after field.mha").field.vectors
     assert not field[:5].any()
-    jacobian = read_image("out/before jacobian.nrrd").pixels
+    jacobian = read_image("out/before jacobian.mha").pixels
     assert np.abs(jacobian[22:34, 26:38] - 1).max() < 1e-4
 
 
@@ -227,7 +227,7 @@ def test_the_shell_reports_that_loops_are_compiled(pair, capsys, monkeypatch):
 def test_a_larger_smoothness_leads_to_smaller_strains(pair):
     def largest_change(smoothness):
         assert register("before.mha", "after.mha", "--smoothness", smoothness, "--force") == 0
-        return np.abs(read_image("out/before jacobian.nrrd").pixels - 1).max()
+        return np.abs(read_image("out/before jacobian.mha").pixels - 1).max()
 
     assert largest_change("300") < 0.5 * largest_change("1")
 

@@ -74,7 +74,7 @@ def test_the_shell_and_python_give_the_same_field_of_a_volume(head, grown):
     assert study.grid.unit == "millimeter"
     assert study.grid.place.plane == (0, 1, 2)
     assert study.grid.place.axis_labels == tuple(PATIENT_AXES)
-    seen = read_image(out / "t1 deformed.nrrd")
+    seen = read_image(out / "t1 deformed.nii.gz")
     assert seen.pixels.shape == head.image.shape
     assert (seen.pixels != head.image).any()
     np.testing.assert_allclose(seen.geometry.origin, (-70, -90, -70))

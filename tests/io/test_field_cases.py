@@ -6,15 +6,20 @@ Each file is read as it is, or refused; none is read as another image.
 import gzip
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import napari
 import numpy as np
 import pytest
 import tifffile
+from napari.components import ViewerModel
+from napari.layers import Layer
+from napari.layers._source import layer_source
 
 from napari_hmrf import FileFormatError, Grid, ProblemError
-from napari_hmrf.contributions import open_scan
+from napari_hmrf.contributions import open_landmarks, open_scan
 from napari_hmrf.fields import read_field
 from napari_hmrf.io import case
 from napari_hmrf.io.apply import FieldFile, _note_on_labels, apply_field
@@ -23,8 +28,11 @@ from napari_hmrf.io.case_options import Case
 from napari_hmrf.io.images import is_scan, read_image, write_image
 from napari_hmrf.io.itk_decoder import Refused, check_regular
 from napari_hmrf.io.nifti import _HEADER
+from napari_hmrf.io.registration_files import relative_place
 from napari_hmrf.io.segmentation_tables import read_label_names
 from napari_hmrf.landmarks import read_points
+from napari_hmrf.layers.read import Request, study_from_layers
+from napari_hmrf.layers.slice_view import View
 from napari_hmrf.solver.solution import Provenance, Solution
 from tests.support.stored_scans import SHAPE, STORED, write_scan
 
@@ -300,25 +308,66 @@ def test_channels_and_times_are_no_volume(tmp_path, axes):
     assert Grid.from_image(path, slice=1).shape == (8, 9)
 
 
-@pytest.mark.parametrize(("sizes", "unit"), [((2.5, 0.5, 0.5), "um"), ((2.5, 1, 1), "")])
-def test_a_stack_of_flat_voxels_without_a_place_is_refused(tmp_path, sizes, unit):
-    path = write_tiff(tmp_path / "cells.tif", "ZYX", sizes, unit)
-    with pytest.raises(ProblemError) as error:
-        read_case(Case(path))
-    assert error.value.field == "cells.tif"
-    cubes = write_tiff(tmp_path / "cubes.tif", "ZYX", (0.5, 0.5, 0.5))
-    study = read_case(Case(cubes))
-    assert study.grid.unit == "pixel"
-    assert any("pixels of 0.5 x 0.5 x 0.5 um" in note for note in study.notes)
+#: Axes, size of a pixel and unit of a .tif of ImageJ, and the unit in which it is read.
+CALIBRATED = {
+    "square": ("YX", (0.5, 0.5), "um", "µm"),
+    "oblong": ("YX", (0.5, 0.7), "micron", "µm"),
+    "flat": ("ZYX", (2.5, 0.5, 0.5), "\\u00B5m", "µm"),
+    "flat, in pixels": ("ZYX", (2.5, 1.0, 1.0), "pixel", "pixel"),
+}
 
 
-def test_landmarks_in_micrometres_are_not_read_as_pixels(tmp_path):
-    path = write_tiff(tmp_path / "cells.tif", "YX", (0.5, 0.5))
+@pytest.mark.parametrize(("axes", "sizes", "unit", "read_as"), CALIBRATED.values(), ids=CALIBRATED)
+def test_the_calibration_of_a_tif_counts(tmp_path, monkeypatch, axes, sizes, unit, read_as):
+    path = write_tiff(tmp_path / "cells.tif", axes, sizes, unit)
+    n = len(sizes)
+    at, to = np.full(n, 2.0), np.full(n, 2.0)
+    to[-1] = 3.0
+    stored = [",".join(map(str, (place * sizes)[::-1])) for place in (at, to)]
     marks = tmp_path / "marks.csv"
-    marks.write_text("Pt-0,true,2,2,3,2\n")
+    marks.write_text(f"a,true,{stored[0]},{stored[1]}\n")
+    study = read_case(Case(path, boundary=marks))
+    for grid in (study.grid, Grid.from_image(path)):
+        assert grid.spacing == pytest.approx(sizes)
+        assert grid.unit == read_as
+    (mark,) = study.motion.drawing.marks
+    np.testing.assert_allclose((mark.source, mark.target), (at, to))
+    d = np.zeros((*study.grid.shape, n), np.float32)
+    d[..., -1] = sizes[-1]
+    frame = None if study.grid.place is None else study.grid.place.as_dict()
+    field = FieldFile.of(replace(solution_of(d, frame, sizes), unit=read_as))
+    for name in ("cells.tif", "marks.csv"):
+        apply_field(field, tmp_path / name, tmp_path / f"moved {name}", labels=False)
+    np.testing.assert_allclose(read_points(tmp_path / "moved marks.csv").points, [to * sizes])
+    moved = read_image(tmp_path / "moved cells.tif")
+    assert (moved.sizes, moved.unit) == (pytest.approx(sizes), read_as)
+
+    viewer = ViewerModel()
+    with layer_source(path=str(path)):
+        layer = viewer.add_image(tifffile.imread(path))  # as napari's own reader does
+    monkeypatch.setattr(napari, "current_viewer", lambda: viewer)
+    for made, place in zip(open_landmarks(str(marks))(str(marks)), (at, to), strict=True):
+        points = viewer.add_layer(Layer.create(*made))
+        seen = layer.world_to_data(points.data_to_world(points.data[0]))
+        np.testing.assert_allclose(seen, place)
+    request = Request(image=layer, view=View.of(viewer.dims, volume=n == 3))
+    if len(set(sizes)) == 1:
+        assert any("pixels of 0.5 x 0.5 µm" in note for note in study_from_layers(request).notes)
+        return
+    with pytest.raises(ProblemError):
+        study_from_layers(request)
+    layer.scale, layer.units = sizes, (read_as,) * n
+    assert study_from_layers(request).grid.spacing == pytest.approx(sizes)
+
+
+def test_pictures_with_pixels_of_different_units_are_not_compared(tmp_path):
+    one, other = (tmp_path / name for name in ("one.tif", "other.tif"))
+    write_tiff(one, "YX", (0.5, 0.5))
+    write_tiff(other, "YX")
+    studies = [read_case(Case(path)) for path in (one, other)]
     with pytest.raises(ProblemError) as error:
-        read_case(Case(path, boundary=marks))
-    assert error.value.field == "marks.csv"
+        relative_place(("one.tif", "other.tif"), *studies)
+    assert error.value.field == "other.tif"
 
 
 @pytest.mark.parametrize("unit", ["mm", "um", "m", ["mm", "UCUM", "millimeter"]])
