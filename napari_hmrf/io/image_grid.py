@@ -40,7 +40,8 @@ def grid_of_image(
     ----------
     image : path-like, SimpleITK image or nibabel image
     slice : int, optional
-        Index of a slice of a volume; by default, the grid of the whole image is returned.
+        Index of a slice of a volume; by default, the grid of the whole image is returned, which for
+        a volume of one slice is that of this slice.
     axis : int
         Axis of the volume's array perpendicular to the slice.
 
@@ -77,6 +78,8 @@ def grid_of_image(
     else:
         frame = Frame.at(geometry.spacing, (geometry.unit,) * n, volume=n == 3)
     grid = Grid(shape, frame.spacing, geometry.unit, frame if is_placed else None)
+    if slice is None and n == 3 and 1 in shape:  # a volume of one slice
+        return _slice_of(grid, frame, 0, shape.index(1))
     if slice is None:
         return grid
     return _slice_of(grid, frame, slice, axis)
@@ -132,8 +135,10 @@ def _of_nibabel(image: Any) -> Geometry:
     affine = np.asarray(image.affine, dtype=float)
     if len(shape) > 3 and set(shape[3:]) == {1}:
         shape = shape[:3]
+    if len(shape) == 2:
+        shape = (*shape, 1)
     if len(shape) != 3:
-        raise ArgumentError(f"image has shape {shape}. Pass a volume with 3 axes.")
+        raise ArgumentError(f"image has shape {shape}. Pass an image with 2 or 3 axes.")
     if affine.shape != (4, 4):
         raise ArgumentError(
             f"image has the affine {shown(image.affine)}. Pass an image with a 4 x 4 affine."

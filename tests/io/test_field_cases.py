@@ -455,6 +455,8 @@ def test_a_volume_of_one_slice_is_solved_as_this_slice(tmp_path, across):
     at[2 - across] = to[2 - across] = 0
     (tmp_path / "marks.csv").write_text(f"a,true,{','.join(map(str, [*at, *to]))}\n")
     study = read_case(Case(tmp_path / "slice.nii.gz", boundary=tmp_path / "marks.csv"))
+    assert Grid.from_image(tmp_path / "slice.nii.gz") == Grid.from_image(image)
+    assert Grid.from_image(image).shape == study.grid.shape
     np.testing.assert_array_equal(study.pictures.image, pixels.take(1, axis=across))
     (mark,) = study.motion.drawing.marks
     sizes = np.array((2, 1, 1))
