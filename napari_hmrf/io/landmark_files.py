@@ -21,6 +21,7 @@ import io
 import json
 import math
 import os
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -42,6 +43,8 @@ POINT_SUFFIXES = (".csv", ".mrk.json", ".fcsv")
 # Numbers of columns of BigWarp's format in two and three dimensions; one more is added to its
 # columns for standard deviations.
 _PAIR_COLUMNS = 6, 7, 8, 9
+#: First bytes of UTF-16 text.
+_UTF_16 = codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE
 #: Largest size of a file, in bytes; a larger file is not read.
 _LARGEST = 2**26
 #: Factors that convert the coordinates of each system to left, posterior, superior.
@@ -113,7 +116,7 @@ def read_points(path: str | os.PathLike[str]) -> LandmarkFile:
     content = read_at_most(source, _LARGEST)
     if content is None:
         raise FileFormatError(f"{name} is too large to be a landmark file.")
-    if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+    if content.startswith(_UTF_16):
         raise FileFormatError(f"{name}: not a landmark file: it is UTF-16 text. Save it as UTF-8.")
     try:
         text = content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
@@ -144,17 +147,20 @@ def read_points(path: str | os.PathLike[str]) -> LandmarkFile:
 def is_landmark_file(path: str | os.PathLike[str]) -> bool:
     """Return whether a file is a landmark file of 3D Slicer or BigWarp.
 
-    Slicer files are recognized by their suffix, and BigWarp files by their first line.
+    Slicer files are recognized by their suffix, and BigWarp files by the second column of their
+    first line, also if a spreadsheet has changed the separators, the encoding or the titles.
     """
     name = os.fsdecode(path).lower()
     if not name.endswith(".csv"):
         return name.endswith(POINT_SUFFIXES)
     try:
-        with open(path, encoding="utf-8-sig") as file:
-            first = next(csv.reader([file.readline(10_000)]), [])
-    except (OSError, UnicodeDecodeError, csv.Error):
+        with open(path, "rb") as file:
+            start = file.read(10_000)
+    except OSError:
         return False
-    return len(first) in _PAIR_COLUMNS and first[1].strip().casefold() in ("true", "false")
+    text = start.decode("utf-16" if start.startswith(_UTF_16) else "utf-8-sig", "replace")
+    cells = re.split(r"[,;\t\r\n]", text.lstrip().casefold())
+    return len(cells) > 1 and cells[1].strip('" ') in ("true", "false", "active")
 
 
 def write_points(
@@ -397,7 +403,7 @@ def _as_markups(points: Points, names: Sequence[str]) -> str:
 
 
 def _parse_fiducials(text: str) -> LandmarkFile:
-    system, columns, points = "RAS", ["id", "x", "y", "z"], []
+    system, columns, points = "", ["id", "x", "y", "z"], []
     for line in text.splitlines():
         key, _, value = line.lstrip("# ").partition("=")
         if line.startswith("#"):
@@ -408,6 +414,11 @@ def _parse_fiducials(text: str) -> LandmarkFile:
         elif line.strip():
             row = dict(zip(columns, next(csv.reader([line])), strict=False))
             points.append((row.get("label", ""), [row["x"], row["y"], row["z"]]))
+    if not system:
+        raise _InvalidContent(
+            "it has no line '# CoordinateSystem = LPS' or '# CoordinateSystem = RAS'. Add the one "
+            "that is right; versions of 3D Slicer before 4 wrote RAS"
+        )
     return _slicer_landmarks(points, system)
 
 
@@ -427,12 +438,16 @@ def _as_fiducials(points: Points, names: Sequence[str]) -> str:
 
 
 def _slicer_landmarks(
-    points: Sequence[tuple[str, Sequence[Any]]], system: str, factor: float = 1.0
+    points: Sequence[tuple[str, Sequence[Any]]], system: Any, factor: float = 1.0
 ) -> LandmarkFile:
     """Return points of a file of 3D Slicer, whose unit is a number of millimetres."""
-    if system not in _TO_LPS:
-        raise _InvalidContent(f"its points are in {system!r}, not in LPS or RAS")
+    if str(system) not in _TO_LPS:
+        raise _InvalidContent(
+            f"its coordinate system is {system!r}. Save it with 3D Slicer in LPS or RAS"
+        )
     places = np.array([place for _, place in points], float).reshape(len(points), 3)
     return LandmarkFile(
-        (factor * places * _TO_LPS[system])[:, ::-1], names=tuple(n for n, _ in points), unit="mm"
+        (factor * places * _TO_LPS[str(system)])[:, ::-1],
+        names=tuple(n for n, _ in points),
+        unit="mm",
     )

@@ -385,20 +385,28 @@ def test_points_of_slicer_are_read_in_their_unit(tmp_path, unit):
             read_points(path)
 
 
-@pytest.mark.parametrize(
-    ("text", "reason"),
-    [
-        ("Pt;true;1;2;3;4\n", "semicolons"),
-        ("Pt\ttrue\t1\t2\t3\t4\n", "tabs"),
-        ('Pt,true,"1,5",2,3,4\n', "decimal point"),
-        ("Pt,true,Infinity,2,3,4\n", "Infinity"),
-    ],
-)
-def test_other_tables_of_landmarks_are_refused_with_their_reason(tmp_path, text, reason):
-    path = tmp_path / "a.csv"
-    path.write_text(text)
-    with pytest.raises(FileFormatError, match=reason):
-        read_points(path)
+#: Names, texts and encodings of landmark files that are refused, with their reasons.
+LANDMARKS = [
+    ("a.csv", "Pt;true;1;2;3;4\n", "utf-8", "semicolons"),
+    ("a.csv", "Pt\ttrue\t1\t2\t3\t4\n", "utf-8", "tabs"),
+    ("a.csv", 'Pt,true,"1,5",2,3,4\n', "utf-8", "decimal point"),
+    ("a.csv", "Pt,true,Infinity,2,3,4\n", "utf-8", "Infinity"),
+    ("a.csv", "name,active,mx,my,fx,fy\nPt,true,1,2,3,4\n", "utf-8", "no column titles"),
+    ("a.csv", "Pt,true,1,2,3,4\n", "utf-16", "UTF-16"),
+    ("a.fcsv", "1,4,2,0\n", "utf-8", "CoordinateSystem"),
+    ("a.fcsv", "# CoordinateSystem = IJK\n1,4,2,0\n", "utf-8", "LPS or RAS"),
+    ("a.mrk.json", '{"markups": [{"controlPoints": []}]}', "utf-8", "coordinateSystem"),
+    ("a.mrk.json", '{"markups": [{}, {}]}', "utf-8", "2 lists"),
+]
+
+
+@pytest.mark.parametrize(("name", "text", "encoding", "reason"), LANDMARKS)
+def test_other_landmark_files_are_refused_with_their_reason(tmp_path, name, text, encoding, reason):
+    path = tmp_path / name
+    path.write_text(text, encoding)
+    for read in (read_points, open_landmarks(str(path))):
+        with pytest.raises(FileFormatError, match=reason):
+            read(str(path))
 
 
 def solution_of(displacement, frame=None, spacing=(1.0, 1.0)):

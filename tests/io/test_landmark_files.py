@@ -84,14 +84,11 @@ INVALID = [
     ("a.csv", ""),
     ("a.csv", "index,axis-0,axs-1\n0,1,2\n"),
     ("a.csv", "index,axis-1,axis-0\n0,1,2\n"),
-    ("a.csv", "name,active,mx,my,fx,fy\na,true,1,2,3,4\n"),
     ("a.csv", "x,y\n1,2\n"),
     ("a.csv", "index,axis-0,axis-1\n0,one,2\n"),
     ("a.csv", "Pt-0,true,1,2,3,4,-1\n"),
     ("a.csv", "Pt-0,true,1,2,nan,4\n"),
     ("a.mrk.json", "{"),
-    ("a.mrk.json", '{"markups": [{}, {}]}'),
-    ("a.fcsv", "# CoordinateSystem = IJK\n1,2,3,4\n"),
     ("a.txt", ""),
 ]
 
