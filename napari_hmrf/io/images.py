@@ -47,7 +47,8 @@ _SEGMENTS = ".seg.nrrd"
 #: Suffixes of other files that have a name of their own.
 _OTHER_SUFFIXES = (".study", ".npz", ".csv", ".fcsv", ".mrk.json", ".h5", ".tfm", ".txt")
 #: Suffixes of medical images.
-MEDICAL_SUFFIXES = (".nii.gz", ".nii", ".mha", ".mhd", ".nrrd", ".nhdr", ".dcm")
+MEDICAL_SUFFIXES = (*(".nii.gz", ".nii", ".hdr", ".img", ".mha", ".mhd", ".nrrd", ".nhdr", ".dcm"),)
+_FREESURFER = (".mgz", ".mgh")
 #: Suffixes of medical images that are also written: neither DICOM, nor formats with two files.
 _WRITTEN = (".nii.gz", ".nii", ".mha", ".nrrd")
 
@@ -316,6 +317,11 @@ def _unreadable(source: Path, reason: str = "") -> FileFormatError:
     """Return the error for a file that cannot be read as an image, with the likely reason."""
     if reason:
         return FileFormatError(f"{source.name}: cannot be read as an image: {reason}.")
+    if source.name.lower().endswith(_FREESURFER):
+        return FileFormatError(
+            f"{source.name}: cannot be read as an image: it is a volume of FreeSurfer. Convert it: "
+            f"mri_convert {source.name} {source.stem}.nii.gz."
+        )
     reason = "damaged, or has another format" if source.stat().st_size else "empty"
     kinds = ", ".join((*PICTURE_SUFFIXES, *MEDICAL_SUFFIXES))
     return FileFormatError(

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import errno
 import importlib.util
-import itertools
 import math
 import os
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,6 +36,13 @@ from napari_hmrf.regular_file import refuse_irregular
 _TEXTS = (".tfm", ".txt")
 _NIFTI = (".nii", ".nii.gz")
 _NRRD = (".nrrd", ".nhdr")
+_METAIMAGE = (".mha", ".mhd")
+#: First words of headers of NRRD and MetaImage, the last word of the latter, and the longest line.
+_FIRST_WORDS, _LAST_WORD, _LONGEST = ("NRRD", "ObjectType", "NDims"), "ElementDataFile", 10_000
+#: Spacing in these headers.
+_SPACING = re.compile(
+    r"^(?:space directions:|(?:spacings:|Element(?:Spacing|Size) *=)(.*))", re.MULTILINE
+)
 _NIFTI_HEADERS = (*_NIFTI, ".hdr", ".img")
 _FIELD = "DisplacementFieldTransform_"
 #: Reason for rejecting a NIfTI file with fewer bytes than its header states, or a damaged .gz.
@@ -242,19 +249,47 @@ def _decode(source: Path, kind: str, *, vectors: bool = False) -> Decoded:
 
 
 def _refuse_faults(source: Path) -> None:
-    """Raise an error for a NIfTI file that ITK would read wrongly, or not at all."""
-    fault = fault_in_nifti(source) if source.name.lower().endswith(_NIFTI_HEADERS) else ""
-    if fault:
+    """Raise an error for a file that ITK would read wrongly, or not at all."""
+    name = source.name.lower()
+    if name.endswith(_NIFTI_HEADERS) and (fault := fault_in_nifti(source)):
         raise Unreadable(fault)
+    if name.endswith((*_METAIMAGE, *_NRRD)):
+        _require_spacing(source)
+
+
+def _require_spacing(source: Path) -> None:
+    """Raise an error for a MetaImage or NRRD file without a spacing, which ITK reads as 1 mm."""
+    header = "\n".join(_text_header(source))
+    stated = _SPACING.search(header)
+    if stated is None and header.startswith(_FIRST_WORDS):
+        raise Unreadable(
+            "its header states no spacing. Save it with its spacing, or as a .tif, whose lengths "
+            "are in pixels"
+        )
+    spacing = (stated and stated[1]) or ""
+    try:
+        is_positive = not any(float(size) <= 0 for size in spacing.split())
+    except ValueError:
+        return  # the text is damaged
+    if not is_positive:
+        raise Unreadable(f"its header states the spacing{spacing}. Give positive lengths")
+
+
+def _text_header(source: Path) -> Iterator[str]:
+    """Yield the lines of the header of a MetaImage or NRRD file."""
+    with open(source, "rb") as file:
+        while line := file.readline(_LONGEST).decode("latin-1").strip():
+            yield line
+            if line.startswith(_LAST_WORD):
+                return
 
 
 def _in_millimetres(image: ItkImage, source: Path) -> ItkImage:
     """Return an image of an NRRD file with its lengths in mm; ITK ignores the unit of the file."""
     if source.suffix.lower() not in _NRRD:
         return image
-    with open(source, "rb") as file:
-        lines = itertools.takewhile(str.strip, (line.decode("latin-1") for line in file))
-        stated = next((line for line in lines if line.lower().startswith("space units:")), "")
+    lines = _text_header(source)
+    stated = next((line for line in lines if line.lower().startswith("space units:")), "")
     units = {unit for unit in re.findall(r'"([^"]*)"', stated) if unit}
     factors = {unit_factor(unit, "millimeter") for unit in units} or {1.0}
     if len(factors) > 1 or not all(map(math.isfinite, factors)):

@@ -25,7 +25,7 @@ from napari_hmrf.io import case
 from napari_hmrf.io.apply import FieldFile, _note_on_labels, apply_field
 from napari_hmrf.io.case import as_labels, read_case
 from napari_hmrf.io.case_options import Case
-from napari_hmrf.io.images import is_scan, read_image, write_image
+from napari_hmrf.io.images import is_scan, read_image, stem_of, write_image
 from napari_hmrf.io.itk_decoder import Refused, check_regular
 from napari_hmrf.io.nifti import _HEADER
 from napari_hmrf.io.registration_files import relative_place
@@ -219,6 +219,29 @@ def test_a_sheared_image_or_field_is_refused_by_all_readers(tmp_path):
             read(str(path))
 
 
+@pytest.mark.parametrize("suffix", [".mha", ".nrrd"])
+def test_a_file_without_a_spacing_is_refused(tmp_path, suffix):
+    path = tmp_path / f"a{suffix}"
+    sitk.WriteImage(sitk.Image([6, 5, 4], sitk.sitkInt16), str(path))
+    content = path.read_bytes()
+    line = {".mha": rb"ElementSpacing = 1 1 1\n", ".nrrd": rb"space directions: [^\n]*\n"}[suffix]
+    spacing = b"spacings: 1 1 %b\n" if suffix == ".nrrd" else b"ElementSpacing = 1 1 %b\n"
+    assert re.search(line, content)
+    for size, reason in ((b"", "no spacing"), (b"0", "positive"), (b"-1", "positive")):
+        path.write_bytes(re.sub(line, spacing % size if size else b"", content))
+        for read in (read_image, Grid.from_image, open_scan(str(path))):
+            with pytest.raises(FileFormatError, match=rf"a\{suffix}.*{reason}"):
+                read(str(path))
+
+
+def test_a_pair_of_header_and_pixels_is_read_by_either_name(tmp_path):
+    sitk.WriteImage(sitk.Image([6, 5, 4], sitk.sitkInt16), str(tmp_path / "a.hdr"))
+    for name in ("a.hdr", "a.img"):
+        (layer,) = open_scan(str(tmp_path / name))(str(tmp_path / name))
+        assert layer[0].shape == Grid.from_image(tmp_path / name).shape == (4, 5, 6)
+        assert stem_of(name) == "a"
+
+
 def test_files_that_itk_does_not_read_are_refused_with_their_reason(tmp_path):
     (tmp_path / "b.nii").write_bytes(nifti(tmp_path / "a.nii.gz").read_bytes())
     with pytest.raises(FileFormatError, match="compressed"):
@@ -226,6 +249,9 @@ def test_files_that_itk_does_not_read_are_refused_with_their_reason(tmp_path):
     (tmp_path / "c.nii").write_bytes((540).to_bytes(4, "little") + bytes(600))
     with pytest.raises(FileFormatError, match="NIfTI-2"):
         read_image(tmp_path / "c.nii")
+    (tmp_path / "brain.mgz").write_bytes(b"\x1f\x8b")
+    with pytest.raises(FileFormatError, match=r"mri_convert brain\.mgz brain\.nii\.gz"):
+        read_image(tmp_path / "brain.mgz")
 
 
 @pytest.mark.parametrize("dtype", ["f4", "f8"])
