@@ -246,6 +246,12 @@ def read_field(path: str | os.PathLike[str], *, forward: bool = False) -> Field:
         raise FileFormatError(_not_a_field(source, error)) from None
     field_type = _stated_type(image.metadata) or (_FORWARD if forward else _BACKWARD)
     n, vectors = image.ndim, image.pixels
+    if n == 4 and image.components == 1:
+        raise FileFormatError(
+            f"{source.name}: not a displacement field: it has 4 axes, as fields of FSL, whose "
+            "vectors are not in patient coordinates. Convert it for ITK, for example with "
+            "wb_command -convert-warpfield."
+        )
     if n not in (2, 3) or image.components != n:
         raise FileFormatError(
             f"{source.name}: not a displacement field: {n} axes require {n} numbers per pixel, but "

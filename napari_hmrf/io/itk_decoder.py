@@ -29,7 +29,7 @@ MOST_PACKED = 1032
 #: Suffixes of header files with the pixels in another file of the same folder.
 PARTED = (".mhd", ".nhdr", ".hdr")
 #: Suffixes of files that are read as transforms.
-TRANSFORMS = (".h5", ".hdf5", ".tfm", ".txt")
+TRANSFORMS = (".h5", ".hdf5", ".tfm", ".txt", ".mat")
 #: Largest distance between a pixel and its place on a regular grid, in pixels.
 _OFF = 0.1
 #: Largest difference between the cosines of two directions that are considered equal.
@@ -168,15 +168,20 @@ class Decoder:
             return cached
         sitk = self._sitk
         transform = sitk.ReadTransform(str(source))
-        if transform.GetName() != "CompositeTransform":
+        if transform.GetName() == "DisplacementFieldTransform":
             return sitk.DisplacementFieldTransform(transform).GetDisplacementField()
         # ANTs stores a displacement field and an affine transform in one file. Because the last
         # transform is applied first, the grid of the last field is that of the image.
-        chain = sitk.CompositeTransform(transform)
+        is_chain = transform.GetName() == "CompositeTransform"
+        chain = sitk.CompositeTransform(transform if is_chain else [transform])
         parts = [chain.GetNthTransform(number) for number in range(chain.GetNumberOfTransforms())]
         last = [part for part in parts if part.GetName() == "DisplacementFieldTransform"][-1:]
         if not last:
-            raise Refused("none of its transforms is a displacement field")
+            names = ", ".join(part.GetName() for part in parts)
+            raise Refused(
+                f"it contains no field, but {names}. Convert it to a field on the grid of the "
+                "image, as with SimpleITK.TransformToDisplacementField"
+            )
         field = sitk.DisplacementFieldTransform(last[0]).GetDisplacementField()
         if len(parts) == 1:
             return field

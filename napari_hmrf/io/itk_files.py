@@ -172,7 +172,9 @@ def holds_vectors(source: Path) -> bool:
         header = _decode(source, "head", vectors=True).header
     except Damaged:
         return True
-    except (Unreadable, HmrfError):
+    except Unreadable as error:  # a transform without a field has a reason
+        return source.suffix.lower() == ".h5" and bool(str(error))
+    except HmrfError:
         return False
     return len(header["spacing"]) == header["components"] and "float" in header["pixel"]
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from napari_hmrf import FileFormatError
+from napari_hmrf.contributions import open_scan
 from napari_hmrf.fields import read_field
 from tests.support.exchanged_fields import FieldCase, check_field_file
 from validation.studies.damaged import make_field
@@ -60,11 +61,29 @@ def test_a_warp_after_an_affine_map_is_read_as_their_composition(tmp_path):
 
 
 def test_a_transform_without_a_field_is_refused(tmp_path):
-    path, affine = tmp_path / "affine.h5", sitk.AffineTransform(2)
-    for transform in (affine, sitk.CompositeTransform([affine])):
-        sitk.WriteTransform(transform, str(path))
-        with pytest.raises(FileFormatError, match=r"affine\.h5"):
-            read_field(path)
+    affine = sitk.AffineTransform(2)
+    chain = sitk.CompositeTransform([affine])
+    transforms = {
+        "affine.h5": affine,
+        "affine.tfm": affine,
+        "affine.mat": affine,
+        "chain.h5": chain,
+    }
+    for name, transform in transforms.items():
+        sitk.WriteTransform(transform, str(tmp_path / name))
+        with pytest.raises(FileFormatError, match=rf"{name}.*no field, but AffineTransform"):
+            read_field(tmp_path / name)
+    path = str(tmp_path / "affine.h5")
+    with pytest.raises(FileFormatError, match="no field"):
+        open_scan(path)(path)
+
+
+def test_a_field_of_fsl_is_refused_with_its_reason(tmp_path):
+    path = str(tmp_path / "warp.nii.gz")
+    sitk.WriteImage(sitk.Image([5, 6, 7, 3], sitk.sitkFloat32), path)
+    for read in (read_field, open_scan(path)):
+        with pytest.raises(FileFormatError, match=r"warp\.nii\.gz.*FSL"):
+            read(path)
 
 
 #: Header that transformix writes before the numbers of a deformationField.mha.
