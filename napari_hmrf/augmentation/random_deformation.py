@@ -21,9 +21,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf import array_file
+from napari_hmrf.archive import Archive
 from napari_hmrf.arguments import is_whole, real, reals, refuse_unless, tuple_of
-from napari_hmrf.augmentation.deformation_file import DEFORMATION_FORMAT
 from napari_hmrf.augmentation.fold_limit import largest_scale
 from napari_hmrf.augmentation.unit_solutions import (
     WRONG,
@@ -64,6 +63,8 @@ _PATCHES = {2: 12, 3: 8}
 _REACH = {2: 1 / 4, 3: 1 / 8}
 _MOVING = "pictures to deform"
 _log = logging.getLogger("napari_hmrf")
+#: Kind of the files that `RandomDeformation.write` writes.
+_DEFORMATIONS = Archive("napari-hmrf random deformation", UnitSolutions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -391,7 +392,7 @@ class RandomDeformation:
         OSError
             If the file cannot be written; the message names the file.
         """
-        return array_file.write(path, DEFORMATION_FORMAT, self._solutions)
+        return _DEFORMATIONS.write(path, self._solutions)
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> RandomDeformation:
@@ -416,7 +417,7 @@ class RandomDeformation:
             If the file cannot be opened.
         """
         deformation = cls.__new__(cls)
-        deformation._set_solutions(array_file.read(path, DEFORMATION_FORMAT))
+        deformation._set_solutions(_DEFORMATIONS.read(path))
         return deformation
 
     def __repr__(self) -> str:

@@ -5,15 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 import psutil
 import scipy
+from pydantic import Field, NonNegativeFloat, PositiveFloat
 
+from napari_hmrf.archive import STORED
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.optimizers import Multigrid
 from napari_hmrf.solver.problem import grid_in_words
+from napari_hmrf.solver.real_arrays import FiniteArray
 from napari_hmrf.study.ground import solve_study
 from napari_hmrf.study.study import Grid, Motion, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material, stiffness_image
@@ -90,10 +94,10 @@ class MovableTissue:
     hold_edge: bool
     patches: npt.NDArray[np.int32]
     centres: Array
-    amplitude: tuple[float, float]
-    smoothness: float
-    weight: float
-    least_jacobian: float
+    amplitude: tuple[NonNegativeFloat, PositiveFloat]
+    smoothness: PositiveFloat
+    weight: NonNegativeFloat
+    least_jacobian: Annotated[float, Field(gt=0, lt=1)]
 
     @cached_property
     def growing(self) -> tuple[Material, ...]:
@@ -244,9 +248,23 @@ class UnitSolutions:
         Mask of the tissue that moves.
     """
 
+    __pydantic_config__ = STORED
+
     case: MovableTissue
-    displacements: npt.NDArray[np.float32]
+    displacements: FiniteArray
     tissue: BoolArray
+
+    def __post_init__(self) -> None:
+        case, grid = self.case, self.case.grid.shape
+        shapes = {each.shape for each in (case.labels, case.patches, self.tissue)}
+        needed = (len(case.units), int(self.tissue.sum()), len(grid))
+        is_same_grid = shapes == {grid} and case.centres.shape[1:] == (len(grid),)
+        if not (is_same_grid and self.displacements.shape == needed):
+            raise ProblemError(
+                "labels",
+                f"are {grid_in_words(grid)}, but their patches, tissue or solutions have another "
+                "grid. Solve them again.",
+            )
 
     @cached_property
     def _most(self) -> Array:

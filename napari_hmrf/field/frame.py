@@ -6,12 +6,13 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from itertools import product
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 
+from napari_hmrf.archive import first_fault
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.units import is_unit, unit_factor, unit_symbol
 from napari_hmrf.geometry import SAME, Geometry
@@ -67,7 +68,9 @@ class Frame:
     axis_labels: tuple[str, ...]
     matrix: Matrix
     file_axes: tuple[int, ...] = field(default=(), compare=False)
-    sliders: tuple[tuple[float, float], ...] = field(default=(), compare=False)
+    sliders: Annotated[tuple[tuple[float, float], ...], Field(exclude=True)] = field(
+        default=(), compare=False
+    )
 
     # `TypeAdapter` applies this configuration when it validates the content of a file.
     __pydantic_config__ = ConfigDict(allow_inf_nan=False)
@@ -476,20 +479,16 @@ class Frame:
         try:
             given = {name: values[name] for name in _STORED}
             given["file_axes"] = values.get("file_axes", ())
-            frame = _PLACES.validate_python(given)
-            frame._check()
+            return _PLACES.validate_python(given).checked()
         except KeyError as error:
             raise ValueError(f"invalid slice position: it lacks {error}") from error
         except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(map(str, first["loc"]))
-            raise ValueError(f"invalid slice position: {where}: {first['msg']}") from error
+            raise ValueError(f"invalid slice position: {first_fault(error)}") from error
         except ValueError as error:
             raise ValueError(f"invalid slice position: {error}") from error
-        return frame
 
-    def _check(self) -> None:
-        """Raise a ValueError if no layer can have this frame."""
+    def checked(self) -> Frame:
+        """Return the frame; raise a ValueError if no layer can have this frame."""
         ndim, plane = self.ndim, self.plane
         known = len(plane) in (2, 3) and len({*plane}) == len(plane)
         if not known or not all(0 <= axis < ndim for axis in plane):
@@ -520,6 +519,7 @@ class Frame:
         factors = [unit_factor(self.units[axis], self.unit) for axis in plane]
         if not all(is_unit(unit) for unit in self.units) or np.isnan(factors).any():
             raise ValueError(f"its units {self.units} are unknown or incompatible")
+        return self
 
     @classmethod
     def of_solution(cls, solution: Solution) -> Frame:

@@ -106,7 +106,7 @@ class FieldFile:
             if frame.ndim == 3
             else (0, 1, 2),
             frame.index[across[0]] if across else 0,
-            sizes[-1] / solution.spacing[-1],
+            geometry.spacing[-1] / solution.spacing[-1],
         )
 
     @property

@@ -12,7 +12,7 @@ from typing import Literal
 from napari_hmrf.arguments import checked_path, tuple_of
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.solver.model_names import ELASTIC, MODELS, as_word
-from napari_hmrf.solver.optimizers import Multigrid, Optimizer
+from napari_hmrf.solver.optimizers import ICM, Multigrid
 from napari_hmrf.solver.priors import Elastic, NeoHookeanPrior, Prior
 from napari_hmrf.solver.priors.elastic import Plane
 from napari_hmrf.study.models import parts_of
@@ -121,7 +121,7 @@ class Case:
         return tuple(path for path in (*named, *confidence) if path is not None)
 
 
-def energy_of(case: Case, *, volume: bool = False) -> tuple[Prior, Optimizer]:
+def energy_of(case: Case, *, volume: bool = False) -> tuple[Prior, ICM | Multigrid]:
     """Return the prior and the optimizer selected by the options of a case.
 
     Parameters

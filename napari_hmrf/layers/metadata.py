@@ -102,7 +102,7 @@ def tissue_recorded(layer: Any) -> tuple[tuple[Material, ...] | None, str]:
     try:
         record = metadata_of(layer)["solution"].provenance.parameters["tissue"]
         return MATERIALS.validate_python(record["materials"]), str(record.get("unit", ""))
-    except (KeyError, TypeError, AttributeError, ValueError):
+    except (KeyError, TypeError, AttributeError, ValueError, OverflowError):
         return None, ""
 
 

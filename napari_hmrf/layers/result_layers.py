@@ -53,7 +53,6 @@ from napari_hmrf.study.engine import Deformation
 from napari_hmrf.study.ground import Ground
 from napari_hmrf.study.shortcomings import FOLDS, shortcomings
 from napari_hmrf.study.study import Pictures
-from napari_hmrf.tissue.drawing.record import record_of
 
 Array = npt.NDArray[Any]
 #: Metadata or display settings, by name.
@@ -543,7 +542,7 @@ def _solution_to_keep(moved: Deformation, ground: Ground) -> Solution:
         field = np.where(body[..., None], solution.displacement, np.float32(0))
         solution = replace(solution, displacement=field, tissue=body)
     if study.motion.drawing.marks:
-        solution = replace(solution, frame={"drawing": record_of(study.motion.drawing)})
+        solution = replace(solution, frame={"drawing": study.motion.drawing.as_dict()})
     if study.tissue.record or study.tissue.stiffness_unit:
         record = {"unit": study.tissue.stiffness_unit, **study.tissue.record}
         parameters = {**solution.provenance.parameters, "tissue": record}

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf import array_file
-from napari_hmrf.checks import POISSON_RANGE
 from napari_hmrf.solver.priors import Elastic, ElasticPrior, NeoHookeanPrior
 from napari_hmrf.solver.priors.elastic import Plane
 from napari_hmrf.solver.problem import Problem
@@ -77,38 +75,3 @@ class Elasticity:
         poisson = self.poisson if isinstance(self.poisson, float) else change(self.poisson)
         growth = None if self.growth is None else change(self.growth)
         return replace(self, stiffness=change(self.stiffness), poisson=poisson, growth=growth)
-
-
-def read_elasticity(header: array_file.Header, arrays: array_file.Arrays) -> Elasticity | None:
-    """Read elastic properties from a file; None if the model is not elastic.
-
-    Raises
-    ------
-    Invalid
-        If the properties are invalid or do not match the grid of the file.
-    """
-    grid, poisson, growth = arrays["tissue"].shape, arrays.get("poisson"), arrays.get("growth")
-    given, stiffness = header.get("elasticity"), arrays.get("stiffness")
-    if given is None:
-        if any(each is not None for each in (poisson, growth, stiffness)):
-            raise array_file.Invalid("it has arrays for elastic tissue, but no elastic model")
-        return None
-    if stiffness is None or stiffness.shape != grid or not (stiffness >= 0).all():
-        raise array_file.Invalid("its stiffness is missing or does not match the tissue")
-    nu, plane, finite = given["poisson"], given["plane"], given["finite"]
-    if poisson is None:
-        if not (isinstance(nu, float | int) and POISSON_RANGE[0] <= nu <= POISSON_RANGE[1]):
-            raise array_file.Invalid(f"its Poisson's ratio is invalid: {nu!r}"[:200])
-    elif nu is not None or poisson.shape != grid:
-        raise array_file.Invalid(f"its Poisson's ratios {poisson.shape} do not match the tissue")
-    elif not (np.isfinite(poisson) & (np.abs(poisson) < 1)).all():
-        raise array_file.Invalid("its Poisson's ratios are out of range")
-    if plane not in get_args(Plane) or not isinstance(finite, bool):
-        raise array_file.Invalid("its elastic model is unknown")
-    if growth is not None:
-        sizes = {len(grid), 3}
-        if growth.shape not in [grid, *((*grid, size, size) for size in sizes)]:
-            raise array_file.Invalid(f"its growth {growth.shape} does not match the tissue")
-        if not np.isfinite(growth).all():
-            raise array_file.Invalid("its growth contains values that are not numbers")
-    return Elasticity(stiffness, float(nu) if poisson is None else poisson, plane, finite, growth)

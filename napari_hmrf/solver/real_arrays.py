@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import AfterValidator
 
 from napari_hmrf.arguments import shown
 from napari_hmrf.errors import ProblemError
@@ -13,6 +14,16 @@ from napari_hmrf.errors import ProblemError
 FloatArray = npt.NDArray[np.float32]
 
 _LARGEST = float(np.finfo(np.float32).max)
+
+
+def _finite(array: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
+    if not np.isfinite(array).all():
+        raise ValueError("contains values that are NaN or infinite")
+    return array
+
+
+#: Array of numbers that are checked when a file is read or written.
+FiniteArray = Annotated[npt.NDArray[np.floating], AfterValidator(_finite)]
 
 
 def as_numbers(field: str, value: Any) -> npt.NDArray[Any]:

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field, PositiveFloat
 
-from napari_hmrf import array_file
+from napari_hmrf.archive import STORED, Archive
 from napari_hmrf.arguments import is_one_of, refuse_unless, require_flag, shown
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.elasticity import Elasticity, read_elasticity
+from napari_hmrf.solver.elasticity import Elasticity
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.model_names import model_name
 from napari_hmrf.solver.optimizers.base import Convergence, LevelRun, Reach
 from napari_hmrf.solver.problem import grid_in_words
+from napari_hmrf.solver.real_arrays import FiniteArray
 
 if TYPE_CHECKING:
     from napari_hmrf.field.measurement import LabelBars, Measurement
@@ -132,15 +134,17 @@ class Solution:
         If the displacement, the tissue and the spacing do not have the same grid.
     """
 
-    displacement: npt.NDArray[np.floating]
+    __pydantic_config__ = STORED
+
+    displacement: FiniteArray
     energy: npt.NDArray[np.float64]
     levels: tuple[LevelRun, ...]
     tissue: npt.NDArray[np.bool_]
-    spacing: tuple[float, ...]
+    spacing: tuple[PositiveFloat, ...]
     provenance: Provenance
     convergence: Convergence | None = None
     frame: Mapping[str, Any] | None = None
-    loads: Loads | None = None
+    loads: Annotated[Loads | None, Field(exclude=True)] = None
     reach: Reach | None = None
     elasticity: Elasticity | None = None
     notes: tuple[str, ...] = ()
@@ -156,6 +160,32 @@ class Solution:
                 f"has a displacement of shape {self.displacement.shape}, tissue of shape {shape} "
                 f"and the spacing {shown(self.spacing)}. Use the same grid for all three.",
             )
+        if self.tissue.dtype != bool or self.displacement.dtype not in (np.float32, np.float64):
+            raise ProblemError(
+                "solution",
+                f"has a displacement of type {self.displacement.dtype} and tissue of type "
+                f"{self.tissue.dtype}. Pass float32 or float64, and bool.",
+            )
+        if self.energy.shape != (max(1, self.iterations),):
+            raise ProblemError(
+                "solution",
+                f"has energies of shape {self.energy.shape}, but {self.iterations} iterations. "
+                "Pass an energy for each iteration.",
+            )
+        images: dict[str, npt.NDArray[Any] | None] = {
+            "removed tissue": self.removed,
+            "parts": self.parts,
+        }
+        if (elastic := self.elasticity) is not None:
+            images |= {"stiffness": elastic.stiffness, "growth": elastic.growth}
+            images |= {} if isinstance(elastic.poisson, float) else {"poisson": elastic.poisson}
+        for name, image in images.items():
+            if image is not None and image.shape[: len(shape)] != shape:
+                raise ProblemError(
+                    "solution",
+                    f"has {name} of shape {image.shape}, but tissue of shape {shape}. Use the same "
+                    "grid for both.",
+                )
         if self.displacement.flags.writeable:
             field = self.displacement.view()
             field.setflags(write=False)
@@ -529,7 +559,7 @@ class Solution:
             If frame or parameters contain a value that is not a JSON type, or the shapes of the
             arrays differ.
         """
-        return array_file.write(path, SOLUTION_FORMAT, self)
+        return SOLUTIONS.write(path, self)
 
     @staticmethod
     def read(path: str | os.PathLike[str]) -> Solution:
@@ -547,7 +577,7 @@ class Solution:
         OSError
             If the file cannot be opened.
         """
-        return array_file.read(path, SOLUTION_FORMAT)
+        return SOLUTIONS.read(path)
 
 
 def is_solution_file(path: str | os.PathLike[str]) -> bool:
@@ -561,124 +591,8 @@ def is_solution_file(path: str | os.PathLike[str]) -> bool:
     -------
     bool
     """
-    return array_file.claims_to_be(path, SOLUTION_FORMAT)
+    return bool(SOLUTIONS.header(path))
 
 
-def _describe(solution: Solution) -> tuple[array_file.Header, array_file.Arrays]:
-    reached = solution.convergence
-    got = solution.reach
-    header = {
-        "spacing": [float(size) for size in solution.spacing],
-        "unit": solution.unit,
-        "levels": [asdict(run) for run in solution.levels],
-        "provenance": asdict(solution.provenance),
-        "frame": solution.frame,
-        "convergence": None if reached is None else asdict(reached),
-        "reach": None if got is None else asdict(got),
-        "notes": list(solution.notes),
-    }
-    arrays = {name: getattr(solution, name) for name in ("displacement", "energy", "tissue")}
-    if solution.displacement.dtype != np.float64:
-        arrays["displacement"] = solution.displacement.astype(np.float32, copy=False)
-    if (elasticity := solution.elasticity) is not None:
-        nu, growth = elasticity.poisson, elasticity.growth
-        header["elasticity"] = {
-            "poisson": nu if isinstance(nu, float) else None,
-            "plane": elasticity.plane,
-            "finite": elasticity.finite,
-        }
-        arrays["stiffness"] = elasticity.stiffness
-        arrays |= {} if isinstance(nu, float) else {"poisson": nu}
-        arrays |= {} if growth is None else {"growth": growth}
-    arrays |= {} if solution.removed is None else {"removed": solution.removed}
-    arrays |= {} if solution.parts is None else {"parts": solution.parts}
-    return header, arrays
-
-
-def _parse(header: array_file.Header, arrays: array_file.Arrays) -> Solution:
-    levels = tuple(
-        LevelRun(
-            int(run["number"]), tuple(int(size) for size in run["shape"]), int(run["iterations"])
-        )
-        for run in header["levels"]
-    )
-    spacing = tuple(float(size) for size in header["spacing"])
-    displacement, energy, tissue = (arrays[name] for name in ("displacement", "energy", "tissue"))
-    if displacement.shape != (*tissue.shape, tissue.ndim) or displacement.size == 0:
-        raise array_file.Invalid(
-            f"its displacement {displacement.shape} does not match its tissue {tissue.shape}"
-        )
-    if len(spacing) != tissue.ndim or not all(0 < size < float("inf") for size in spacing):
-        raise array_file.Invalid(f"its pixel spacing is invalid: {spacing}")
-    if not array_file.is_finite(displacement):
-        raise array_file.Invalid("its displacement contains values that are not numbers")
-    removed, parts = arrays.get("removed"), arrays.get("parts")
-    for name, found in ("removed tissue", removed), ("sliding parts", parts):
-        if found is not None and found.shape != tissue.shape:
-            raise array_file.Invalid(
-                f"its {name} {found.shape} does not match its tissue {tissue.shape}"
-            )
-    if len(energy) != max(1, sum(run.iterations for run in levels)):
-        raise array_file.Invalid("its energies do not match its iterations")
-    frame = header["frame"]
-    if frame is not None and not isinstance(frame, dict):
-        raise array_file.Invalid("its frame is not a table")
-    reached = header["convergence"]
-    given, known = header["provenance"], {field.name for field in fields(Provenance)}
-    return Solution(
-        displacement=displacement.astype(displacement.dtype.newbyteorder("="), copy=False),
-        energy=energy.astype(np.float64, copy=False),
-        levels=levels,
-        tissue=tissue,
-        spacing=spacing,
-        provenance=Provenance(**{field: given[field] for field in known & given.keys()}),
-        convergence=reached
-        if reached is None
-        else Convergence(float(reached["error"]), float(reached["residual"]), str(reached["way"])),
-        frame=frame,
-        reach=_reach(header["reach"]),
-        notes=tuple(map(str, header["notes"])),
-        elasticity=read_elasticity(header, arrays),
-        unit=str(header["unit"]),
-        removed=removed,
-        parts=parts,
-    )
-
-
-def _reach(given: Mapping[str, Any] | None) -> Reach | None:
-    if given is None:
-        return None
-    where, furthest = given["where"], given["unbalanced_at"]
-    return Reach(
-        float(given["least_jacobian"]),
-        float(given["part"]),
-        float(given["missing"]),
-        None if where is None else tuple(int(index) for index in where),
-        int(given["sites"]),
-        float(given["grown"]),
-        float(given["unbalanced"]),
-        None if furthest is None else tuple(int(index) for index in furthest),
-        bool(given["stopped"]),
-        tuple(tuple(int(index) for index in at) for at in given["regions"]),
-    )
-
-
-#: Format of the files that `Solution.write` writes.
-SOLUTION_FORMAT: array_file.Format[Solution] = array_file.Format(
-    name="napari-hmrf solution",
-    schema=1,
-    kind_name="napari-hmrf result",
-    arrays={
-        "displacement": array_file.Kind(("<f4", "<f8"), (3, 4)),
-        "energy": array_file.Kind(("<f8",), (1,)),
-        "tissue": array_file.Kind(("|b1",), (2, 3)),
-        "poisson": array_file.Kind(("<f4",), (2, 3), optional=True),
-        "growth": array_file.Kind(("<f4",), (2, 3, 4, 5), optional=True),
-        "stiffness": array_file.Kind(("<f4", "<f8"), (2, 3), optional=True),
-        "removed": array_file.Kind(("|b1",), (2, 3), optional=True),
-        "parts": array_file.Kind(("<i4",), (2, 3), optional=True),
-    },
-    describe=_describe,
-    parse=_parse,
-    precheck=_parse,
-)
+#: Kind of the files that `Solution.write` writes.
+SOLUTIONS = Archive("napari-hmrf result", Solution)

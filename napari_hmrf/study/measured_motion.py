@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.data_term import packed_axes
 from napari_hmrf.solver.real_arrays import as_float32, check_finite
 
 FloatArray = npt.NDArray[np.float32]
@@ -73,26 +72,3 @@ class MeasuredMotion:
     def sites(self) -> npt.NDArray[np.bool_]:
         """Mask of the sites with a measurement, shape ([D,] H, W)."""
         return np.asarray(self.precision.any(axis=(-2, -1)))
-
-    def packed(self) -> FloatArray:
-        """Return the precision without its symmetric half, shape (n (n + 1) / 2, [D,] H, W)."""
-        pairs = packed_axes(self.precision.shape[-1])
-        return np.stack([self.precision[..., i, j] for i, j in pairs])
-
-    @classmethod
-    def from_packed(
-        cls, displacement: FloatArray, packed: FloatArray, record: Mapping[str, Any]
-    ) -> MeasuredMotion:
-        """Return the motion of a displacement and the result of `packed`."""
-        axes = displacement.shape[-1]
-        pairs = packed_axes(axes)
-        if packed.shape != (len(pairs), *displacement.shape[:-1]):
-            raise ProblemError(
-                "measured motion",
-                f"has displacements of shape {displacement.shape} and a packed precision of shape "
-                f"{packed.shape}. Use a file that this package has written.",
-            )
-        precision = np.empty((*displacement.shape, axes), np.float32)
-        for plane, (i, j) in zip(packed, pairs, strict=True):
-            precision[..., i, j] = precision[..., j, i] = plane
-        return cls(displacement, precision, record)

@@ -146,7 +146,7 @@ def prior_of(
     return SeilerPrior(penalty=details.penalty or None, conditional=details.reading)
 
 
-def optimizer_of(model: ModelName, details: SolverDetails = _USUAL) -> Optimizer:
+def optimizer_of(model: ModelName, details: SolverDetails = _USUAL) -> ICM | Multigrid:
     """Return the optimizer of a model."""
     if model == "large motion":
         return Multigrid(details.accuracy, budget=details.budget or None)
@@ -157,12 +157,12 @@ def optimizer_of(model: ModelName, details: SolverDetails = _USUAL) -> Optimizer
 
 
 #: Prior and optimizer of each model, with default details.
-_BY_NAME: dict[ModelName, tuple[Prior, Optimizer]] = {
+_BY_NAME: dict[ModelName, tuple[Prior, ICM | Multigrid]] = {
     name: (prior_of(name), optimizer_of(name)) for name in MODELS.values()
 }
 
 
-def parts_of(name: str) -> tuple[Prior, Optimizer]:
+def parts_of(name: str) -> tuple[Prior, ICM | Multigrid]:
     """Return the prior and the optimizer of a model, with default settings.
 
     Parameters

@@ -20,7 +20,7 @@ from psygnal import Signal
 
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.solver.model_names import ModelName
-from napari_hmrf.solver.optimizers import Optimizer
+from napari_hmrf.solver.optimizers import ICM, Multigrid
 from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.solver.priors.elastic import Plane
 from napari_hmrf.solver.uncertain_landmarks import StrainScale
@@ -214,7 +214,7 @@ class ModelChoice:
         return prior_of(self.name, self.details, self.plane, self.poisson)
 
     @property
-    def optimizer(self) -> Optimizer:
+    def optimizer(self) -> ICM | Multigrid:
         """Optimizer of the model."""
         return optimizer_of(self.name, self.details)
 

@@ -11,11 +11,13 @@ import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
 from contextlib import contextmanager
 from dataclasses import KW_ONLY, InitVar, dataclass, field, fields, replace
-from typing import Any, Literal, Protocol
+from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import AfterValidator, Field
 
+from napari_hmrf.archive import ByClass
 from napari_hmrf.arguments import (
     real,
     reals,
@@ -35,7 +37,7 @@ from napari_hmrf.field.units import (
     may_be_stiffness,
 )
 from napari_hmrf.solver.model_names import model_name
-from napari_hmrf.solver.optimizers import ICM, Multigrid, Optimizer
+from napari_hmrf.solver.optimizers import ICM, Multigrid
 from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.problem import checked_spacing, grid_in_words, whole_numbers
 from napari_hmrf.solver.solution import Solution
@@ -51,6 +53,8 @@ from napari_hmrf.tissue.tissue_maps import materials_of_maps, most_likely
 from napari_hmrf.tissue.tissue_names import materials_by_name
 
 Array = npt.NDArray[Any]
+#: Display settings, which are not stored in files.
+Look = Annotated[dict[str, Any], Field(exclude=True)]
 #: Largest distance, in slices, between a point in a slice and the centre plane of the slice.
 _IN_SLICE = 0.5 + 1e-3
 
@@ -104,7 +108,7 @@ class Grid:
     shape: tuple[int, ...]
     spacing: tuple[float, ...]
     unit: str = "pixel"
-    place: Frame | None = None
+    place: Annotated[Frame, AfterValidator(Frame.checked)] | None = None
 
     def __post_init__(self) -> None:
         axes = len(self.shape) if isinstance(self.shape, Sized) else 0
@@ -553,8 +557,8 @@ class Pictures:
     labels: Array | None = None
     name: str = ""
     labels_name: str = ""
-    look: dict[str, Any] = field(default_factory=dict)
-    labels_look: dict[str, Any] = field(default_factory=dict)
+    look: Look = field(default_factory=dict)
+    labels_look: Look = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         _check_arrays(self, "image", "labels")
@@ -622,8 +626,8 @@ class Study:
     tissue: Tissue = field(default_factory=Tissue)
     motion: Motion = field(default_factory=Motion)
     model: InitVar[str] = ""
-    prior: Prior = USUAL_PRIOR
-    optimizer: Optimizer = USUAL_OPTIMIZER
+    prior: Annotated[Prior, ByClass()] = USUAL_PRIOR
+    optimizer: Annotated[ICM | Multigrid, ByClass()] = USUAL_OPTIMIZER
     pictures: Pictures = field(default_factory=Pictures)
     names: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()

@@ -292,12 +292,12 @@ def test_a_file_of_another_kind_or_with_inconsistent_arrays_is_rejected(tmp_path
         RandomDeformation.read(path)
     whole = dict(np.load(deformation_2d().write(path)))
     for name, value, said in (
-        ("displacements", whole["displacements"][1:], "its solutions have shape"),
+        ("displacements", whole["displacements"][1:], "another grid"),
         ("displacements", whole["displacements"] * np.float32(np.nan), "NaN or infinite"),
-        ("patches", whole["patches"][1:], "do not match"),
-        ("centres", whole["centres"][:, :1], "do not match"),
-        ("header", _header(whole, amplitude=[2, 1]), "amplitude"),
-        ("header", _header(whole, smoothness=0), "lengths"),
+        ("case.patches", whole["case.patches"][1:], "another grid"),
+        ("case.centres", whole["case.centres"][:, :1], "another grid"),
+        ("header", _header(whole, amplitude=[2, -1]), "case.amplitude.1: Input should be greater"),
+        ("header", _header(whole, smoothness=0), "case.smoothness: Input should be greater"),
     ):
         np.savez(path, **{**whole, name: value})
         with pytest.raises(FileFormatError, match=said):
@@ -305,7 +305,8 @@ def test_a_file_of_another_kind_or_with_inconsistent_arrays_is_rejected(tmp_path
 
 
 def _header(whole, **changes):
-    return np.array(json.dumps({**json.loads(whole["header"].item()), **changes}))
+    header = json.loads(whole["header"].item())
+    return np.array(json.dumps({**header, "case": {**header["case"], **changes}}))
 
 
 def test_later_changes_of_the_label_array_have_no_effect():

@@ -45,7 +45,6 @@ from napari_hmrf.io.tables import read_materials
 from napari_hmrf.landmarks import read_points
 from napari_hmrf.tissue import PRESETS, StiffnessCurve
 from napari_hmrf.tissue.drawing.patch_motion import PatchMotion
-from napari_hmrf.tissue.drawing.record import record_of
 from validation.studies.damaged import MOST_BYTES, damaged, look, plain
 from validation.studies.damaged import STUDIES as KEPT
 
@@ -202,14 +201,12 @@ def header_in(path):
 def test_a_study_with_a_hundred_held_patches_is_replayed_bit_by_bit(tmp_path):
     study = by_held_patches()
     solution = solve_study(study, backend="cpu")
-    in_window = dataclasses.replace(solution, frame={"drawing": record_of(study.motion.drawing)})
+    in_window = dataclasses.replace(solution, frame={"drawing": study.motion.drawing.as_dict()})
     path = write_study(tmp_path / "held", study, in_window)
     saved = read_study(path)
     assert saved.study.motion.drawing == study.motion.drawing
     assert replay(path).displacement.tobytes() == solution.displacement.tobytes()
-    header = header_in(path)
-    assert len(json.dumps(header["motion"])) < 30_000
-    assert header["solution"]["frame"] is None, "the drawing is in the file twice"
+    assert header_in(path)["solution"]["frame"] is None, "the drawing is in the file twice"
 
 
 @pytest.mark.parametrize("path", ["", ".", "folder/..", "a\0b"])
@@ -218,24 +215,19 @@ def test_a_path_that_names_no_file_is_refused(path):
         write_study(path, by_held_patches(2))
 
 
-@pytest.mark.parametrize("size", [4355, 4357])
+@pytest.mark.parametrize("size", [2177, 2179])
 def test_held_patches_with_too_few_or_too_many_displacements_are_refused(size, tmp_path):
     path = write_study(tmp_path / "good", by_held_patches(2))
-    values = as_npy(np.zeros(size, np.float32))
-    with pytest.raises(FileFormatError, match=r"bad\.study: not a valid napari-hmrf study"):
-        read_study(with_members(path, tmp_path / "bad.study", patch_motion=values))
+    motion = {"study.motion.drawing.marks.1.motion.values": as_npy(np.zeros(size, np.float32))}
+    with pytest.raises(FileFormatError, match=r"bad\.study: .* has a mark with an invalid motion"):
+        read_study(with_members(path, tmp_path / "bad.study", **motion))
 
 
-def test_a_long_drawing_is_saved_and_a_longer_drawing_is_refused_with_a_remedy(tmp_path):
-    points = tuple(map(tuple, np.random.default_rng(0).uniform(0, 20, (30_000, 2)).tolist()))
-    strokes = Drawing((Stroke("pin", (points,), 1.0),))
-    study = Study(GRID, motion=Motion(drawing=strokes))
+def test_a_long_drawing_is_saved(tmp_path):
+    points = tuple(map(tuple, np.random.default_rng(0).uniform(0, 20, (90_000, 2)).tolist()))
+    study = Study(GRID, motion=Motion(drawing=Drawing((Stroke("pin", (points,), 1.0),))))
     path = write_study(tmp_path / "long", study)
-    assert read_study(path).study.motion.drawing == strokes
-    longer = Motion(drawing=Drawing(strokes.marks * 3))
-    with pytest.raises(ValueError, match=r"its drawing, .* MB of text, .* Remove marks or rows"):
-        write_study(path, dataclasses.replace(study, motion=longer))
-    assert read_study(path).study.motion.drawing == strokes, "the earlier file was replaced"
+    assert read_study(path).study.motion.drawing == study.motion.drawing
 
 
 def test_a_study_saved_without_its_image_accepts_only_that_image(tmp_path):
@@ -264,7 +256,7 @@ def test_an_image_of_an_unsupported_type_is_refused_and_the_old_file_remains(tmp
     study = by_curve()
     path = write_study(tmp_path / "case", study)
     strange = Pictures(picture().astype(complex), name="t1")
-    with pytest.raises(ValueError, match=r"cannot be saved: its image is complex128"):
+    with pytest.raises(ValueError, match=r"cannot be saved: study\.pictures.image: .* complex128"):
         write_study(path, dataclasses.replace(study, pictures=strange))
     assert plain(read_study(path).study) == plain(study)
 
@@ -301,40 +293,24 @@ def as_npy(array):
     return file.getvalue()
 
 
-def spoiled_header(path, part, name, value):
-    """Return the header of a study with one value replaced."""
-    with np.load(path) as archive:
-        header = json.loads(archive["header"].item())
-    header[part][name] = value
-    return as_npy(np.array(json.dumps(header)))
-
-
-@pytest.mark.parametrize("fault", ["shape", "header", "second array"])
-def test_arrays_are_expanded_only_if_header_and_shapes_allow(fault, tmp_path):
-    size = (6000, 6000)
-    study = Study(GRID, Tissue(stiffness=np.ones(SHAPE)), pictures=Pictures(labels=labels()))
-    path = write_study(tmp_path / "good", study)
-    large, changed = as_npy(np.zeros(size, np.uint8)), {}
-    if fault == "shape":
-        changed = {"boundary_labels": large}
-    elif fault == "header":
-        grid = with_members(
-            path, tmp_path / "grid.study", header=spoiled_header(path, "grid", "shape", size)
-        )
-        changed = {
-            "header": spoiled_header(grid, "motion", "rules", [{"label": "none"}]),
-            "stiffness": large,
-        }
-    else:
-        changed = {"image": large, "labels": as_npy(np.zeros(3, np.uint8))}
-    bomb = with_members(path, tmp_path / "bomb.study", **changed)
-    assert bomb.stat().st_size < 1e6
-    tracemalloc.start()
-    with pytest.raises(FileFormatError, match=r"bomb\.study: not a valid napari-hmrf study"):
-        read_study(bomb)
-    most = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert most < 5e6
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"tissue": {"labels": [1, 2]}}, "study.tissue.labels: Input should be an instance of"),
+        ({"tissue": {"colour": 1}}, "study.tissue.colour: Unexpected keyword argument"),
+        ({"grid": {"shape": [20, -1]}}, r"study.grid: grid: has shape \(20, -1\)"),
+        ({"prior": {"class": "Solid"}}, "study.prior: Input tag 'Solid' .* 'ElasticPrior'"),
+        ({"prior": {"class": "ElasticPrior", "plane": 3}}, "study.prior.ElasticPrior.plane: "),
+    ],
+)
+def test_a_wrong_value_in_a_file_is_named(change, said, tmp_path):
+    path = write_study(tmp_path / "good", Study(GRID))
+    header = header_in(path)
+    for part, values in change.items():
+        header["study"][part] = {**header["study"][part], **values}
+    bad = with_members(path, tmp_path / "bad.study", header=as_npy(np.array(json.dumps(header))))
+    with pytest.raises(FileFormatError, match=rf"bad\.study: not a valid .* study: {said}"):
+        read_study(bad)
 
 
 def test_an_array_is_expanded_without_a_second_copy(tmp_path):
@@ -377,7 +353,11 @@ def test_devices_and_pipes_are_refused_as_studies_and_tables(tmp_path):
             "place",
         ),
         (
-            {"tissue": np.ones((20, 25), bool), "displacement": np.zeros((20, 25, 2))},
+            {
+                "tissue": np.ones((20, 25), bool),
+                "displacement": np.zeros((20, 25, 2)),
+                "elasticity": None,
+            },
             "is 20 x 24, but the field is 20 x 25",
         ),
     ],

@@ -142,6 +142,7 @@ def test_the_place_of_a_field_does_not_depend_on_the_order_of_its_axes(solution,
         solution,
         displacement=solution.displacement.transpose(*plane, 3)[..., list(plane)],
         tissue=solution.tissue.transpose(plane),
+        elasticity=None,
         spacing=tuple(SIZE[axis] for axis in plane),
         frame=replace(Frame.of_geometry(PLACE, volume=True), plane=plane).as_dict(),
     )

@@ -17,7 +17,7 @@ from napari_hmrf import (
     Provenance,
     SeilerPrior,
     Solution,
-    array_file,
+    archive,
     atomic_write,
     solve,
 )
@@ -141,8 +141,8 @@ def test_a_solution_file_can_be_read_with_numpy_alone(solution, path):
     with np.load(path, allow_pickle=False) as file:
         np.testing.assert_array_equal(file["displacement"], solution.displacement)
         header = json.loads(file["header"].item())
-    assert header["format"] == "napari-hmrf solution"
-    assert header["schema"] == 1
+    assert header["format"] == "napari-hmrf result"
+    assert header["version"] == 1
     assert header["spacing"] == list(solution.spacing)
 
 
@@ -214,7 +214,7 @@ def test_a_solution_that_could_not_be_read_is_not_written(path, solution):
     field = good.displacement.copy()
     field[0, 0] = np.nan
     bad = dataclasses.replace(good, displacement=field)
-    with pytest.raises(ValueError, match=r"cannot be saved.*not numbers"):
+    with pytest.raises(ValueError, match=r"cannot be saved: displacement: .* NaN or infinite"):
         bad.write(path)
     with pytest.raises(TypeError, match="JSON"):
         random_solution(frame={"layer": object()}).write(path)
@@ -257,7 +257,7 @@ def test_an_archive_with_a_corrupt_directory_is_rejected(path):
 
 
 def test_a_read_error_is_not_reported_as_an_invalid_file(path, monkeypatch):
-    monkeypatch.setattr(array_file.zipfile, "ZipFile", disk_full)
+    monkeypatch.setattr(archive.zipfile, "ZipFile", disk_full)
     with pytest.raises(OSError, match="No space"):
         Solution.read(path)
 
@@ -275,7 +275,7 @@ def test_other_content_is_rejected(tmp_path, content):
 def test_a_lone_array_or_foreign_archive_is_another_kind_of_file(tmp_path):
     np.savez(tmp_path / "foreign.npz", a=np.ones(3), b=np.ones((2, 2)))
     assert error_message(tmp_path / "foreign.npz") == "it is another kind of file"
-    np.savez(tmp_path / "header.npz", header=np.array('{"format": "other", "schema": 1}'))
+    np.savez(tmp_path / "header.npz", header=np.array('{"format": "other", "version": 1}'))
     assert error_message(tmp_path / "header.npz") == "it is another kind of file"
     np.savez(tmp_path / "list.npz", header=np.array("[1, 2]"))
     assert error_message(tmp_path / "list.npz") == "it is another kind of file"
@@ -309,22 +309,22 @@ def test_code_in_a_file_is_never_run(path, tmp_path, member):
     assert member in error_message(bad)
 
 
-def test_a_zip_bomb_costs_no_memory(path, tmp_path):
-    rows = 6_000
+def test_a_zip_bomb_costs_no_memory(path, tmp_path, monkeypatch):
+    monkeypatch.setattr(archive, "_HARMLESS", 2**20)
+    rows = 1_000
     start = npy(np.zeros((1, 1), "f4"))[:128].replace(
         b"(1, 1), ", b"(%d, %d, 2), " % (rows, rows)
     )  # fmt: skip
     bomb = tmp_path / "bomb.npz"
-    with zipfile.ZipFile(path) as archive:
-        rest = {name: archive.read(name) for name in MEMBERS - {"displacement.npy"}}
-    with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as archive:
+    with zipfile.ZipFile(path) as whole:
+        rest = {name: whole.read(name) for name in MEMBERS - {"displacement.npy"}}
+    with zipfile.ZipFile(bomb, "w", zipfile.ZIP_DEFLATED) as made:
         for name, data in rest.items():
-            archive.writestr(name, data)
-        with archive.open("displacement.npy", "w", force_zip64=True) as member:
+            made.writestr(name, data)
+        with made.open("displacement.npy", "w", force_zip64=True) as member:
             member.write(start)
             for _ in range(rows // 100):
                 member.write(bytes(100 * rows * 8))
-    assert bomb.stat().st_size < 2e6
     tracemalloc.start()
     assert "more than such a file may contain" in error_message(bomb)
     assert tracemalloc.get_traced_memory()[1] < 5e6
@@ -347,26 +347,27 @@ def test_a_header_with_a_false_size_costs_no_memory(path, tmp_path, member):
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [
-        ({"energy": None}, "lacks 'energy.npy'"),
+        ({"energy": None}, "lacks the array 'energy'"),
         ({"header": None}, "another kind of file"),
         (
             {"extra": npy(np.ones(3))},
-            "contains 'extra.npy', which does not belong to a napari-hmrf result",
+            "contains 'extra', which does not belong to a napari-hmrf result",
         ),
         ({"../../evil": npy(np.ones(3))}, "does not belong to a napari-hmrf result"),
-        ({"displacement": npy(np.zeros((7, 11, 2), "f2"))}, "displacement is float16"),
-        ({"displacement": npy(np.zeros((7, 11, 2), ">f4"))}, "displacement is >f4"),
+        ({"displacement": npy(np.zeros((7, 11, 2), ">f4"))}, "displacement of type >f4"),
+        (
+            {"displacement": npy(np.zeros((7, 11, 2), "c8"))},
+            "array of complex64, not of",
+        ),
         ({"displacement": npy(np.zeros((7, 11), "f4"))}, r"of shape \(7, 11\)"),
-        ({"displacement": npy(np.zeros((11, 7, 2), "f4"))}, "does not match"),
-        ({"displacement": npy(np.zeros((7, 11, 3), "f4"))}, "does not match"),
-        ({"displacement": npy(np.full((7, 11, 2), np.inf, "f4"))}, "not numbers"),
-        ({"energy": npy(np.zeros(29))}, "energies do not match its iterations"),
-        ({"tissue": npy(np.zeros((7, 11), np.uint8))}, "tissue is uint8"),
+        ({"displacement": npy(np.zeros((11, 7, 2), "f4"))}, "Use the same grid"),
+        ({"displacement": npy(np.full((7, 11, 2), np.inf, "f4"))}, "NaN or infinite"),
+        ({"energy": npy(np.zeros(29))}, "but 30 iterations"),
+        ({"tissue": npy(np.zeros((7, 11), np.uint8))}, "tissue of type uint8"),
         ({"header": npy(np.array("{"))}, "damaged"),
-        ({"header": npy(np.array(3))}, "header is int64 .*not text"),
+        ({"header": npy(np.array(3))}, "it is another kind of file"),
         ({"header": b"\x93NUMPY\x03\x00"}, "format"),
         ({"header": npy(np.array("[" * 100_000))}, "damaged"),
-        ({"header": npy(np.array("x" * 3_000_000))}, "header declares"),
     ],
 )
 def test_a_file_with_wrong_members_is_rejected(path, tmp_path, changes, complaint):
@@ -377,15 +378,16 @@ def test_a_file_with_wrong_members_is_rejected(path, tmp_path, changes, complain
 @pytest.mark.parametrize(
     ("changes", "complaint"),
     [
-        ({"schema": 2}, "written by a later version .*update napari-hmrf"),
-        ({"schema": "one"}, "version is 'one'"),
-        ({"spacing": [1.0]}, "spacing is"),
-        ({"spacing": [1.0, -1.0]}, "spacing is"),
-        ({"spacing": None}, "damaged"),
-        ({"levels": [{"number": 0}]}, "damaged"),
-        ({"provenance": 3}, "damaged"),
-        ({"provenance": {"renderer": "no backend"}}, "damaged"),
-        ({"frame": [1, 2]}, "frame"),
+        ({"version": 2}, "has version 2, but .* reads version 1. Use the version .* that wrote"),
+        ({"spacing": [1.0]}, r"the spacing \(1.0,\). Use the same grid"),
+        ({"spacing": [1.0, -1.0]}, "spacing.1: Input should be greater than 0"),
+        ({"spacing": None}, "spacing: Input should be a valid tuple"),
+        ({"levels": [{"number": 0}]}, "levels.0.shape: Field required"),
+        ({"provenance": 3}, "provenance: "),
+        ({"provenance": {"renderer": "no backend"}}, "provenance.backend: Field required"),
+        ({"frame": [1, 2]}, "frame: "),
+        ({"convergence": {"error": 1}}, "convergence.residual: Field required"),
+        ({"mood": "sunny"}, "mood: Unexpected keyword argument"),
     ],
 )
 def test_an_invalid_header_is_rejected(path, tmp_path, changes, complaint):
@@ -428,11 +430,6 @@ def test_an_array_header_with_an_open_bracket_is_rejected(path, tmp_path, bracke
     assert not is_solution_file(bad)
 
 
-@pytest.mark.parametrize("convergence", [{}, [], 0, False, "", {"error": 1}])
-def test_an_incomplete_convergence_entry_is_rejected(path, tmp_path, convergence):
-    error_message(with_header(path, tmp_path / "odd.npz", convergence=convergence))
-
-
 def test_a_header_too_deeply_nested_to_be_saved_again_is_rejected(path, tmp_path):
     deep = []
     for _ in range(300):
@@ -453,23 +450,6 @@ def test_members_with_another_compression_are_rejected_unread(path, tmp_path, me
 def test_uncompressed_members_are_read(solution, path, tmp_path):
     stored = repacked(path, tmp_path / "stored.npz", zipfile.ZIP_STORED)
     assert_same(Solution.read(stored), solution)
-
-
-def test_a_member_with_a_size_beyond_the_file_costs_no_memory(path):
-    content = bytearray(path.read_bytes())
-    at = content.rindex(b"PK\x01\x02") + 20  # compressed size of the last member
-    content[at : at + 4] = (2**31).to_bytes(4, "little")
-    path.write_bytes(content)
-    tracemalloc.start()
-    assert error_message(path) == "it is damaged or incomplete"
-    assert tracemalloc.get_traced_memory()[1] < 5e6
-    tracemalloc.stop()
-
-
-def test_provenance_entries_of_later_versions_are_ignored(solution, path, tmp_path):
-    provenance = {**header_of(path)["provenance"], "mood": "sunny"}
-    newer = with_header(path, tmp_path / "newer.npz", provenance=provenance)
-    assert_same(Solution.read(newer), solution)
 
 
 def test_a_solution_file_is_recognised_by_its_content(solution, tmp_path):

@@ -24,10 +24,8 @@ from napari_hmrf import (
     solve_study,
     write_study,
 )
-from napari_hmrf.array_file import header_of
 from napari_hmrf.loads import reactions
 from napari_hmrf.solver.loads import Loads
-from napari_hmrf.solver.parameters import prior_from_dict
 from napari_hmrf.study.ground import build_problem
 from napari_hmrf.study.models import HOLD_ALL, details_of, prior_of
 
@@ -191,21 +189,13 @@ def test_files_and_the_form_preserve_the_penalty(tmp_path, kind, penalty):
     assert again.study.prior == prior
     np.testing.assert_array_equal(replay(saved).displacement, solution.displacement)
     of_solution = again.solution.provenance.parameters["prior"]
-    assert prior_from_dict(of_solution) == prior.in_force(uncertain_problem())
+    assert of_solution == prior.in_force(uncertain_problem()).parameters
     json.dumps(prior.parameters)
     assert prior_of(session(kind), details_of(prior, study.optimizer), poisson=0.3) == prior
 
 
 def session(kind):
     return "elastic" if kind is ElasticPrior else "large motion"
-
-
-def test_files_of_earlier_versions_keep_the_meaning_of_their_penalty(tmp_path):
-    # "inf" meant the default rule in an old study, but exact observations in a solution.
-    saved = write_study(tmp_path / "a.study", study_of(uncertain_problem(), ElasticPrior()))
-    assert header_of(saved)["prior"]["penalty"] == "inf"
-    assert read_study(saved).study.prior.penalty is None
-    assert prior_from_dict({"name": "ElasticPrior", "penalty": "inf"}).penalty == math.inf
 
 
 def test_the_largest_holding_force_in_the_form_makes_observations_exact():

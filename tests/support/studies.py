@@ -83,7 +83,7 @@ def of_boundary(*rules):
 
 def arrow(at, by, radius, confidence=1.0, components="both"):
     return {
-        "kind": "arrow",
+        "class": "Arrow",
         "at": at,
         "by": by,
         "radius": radius,
@@ -94,7 +94,7 @@ def arrow(at, by, radius, confidence=1.0, components="both"):
 
 def landmark(source, target, radius, confidence=1.0):
     return {
-        "kind": "landmark",
+        "class": "Landmark",
         "source": source,
         "target": target,
         "radius": radius,
@@ -103,7 +103,7 @@ def landmark(source, target, radius, confidence=1.0):
 
 
 def stroke(action, line, radius, **more):
-    return {"kind": "stroke", "action": action, "lines": [line], "radius": radius, **more}
+    return {"class": "Stroke", "action": action, "lines": [line], "radius": radius, **more}
 
 
 def away(shape, row, col, rows=1.0, cols=1.0):

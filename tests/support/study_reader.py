@@ -33,7 +33,7 @@ def read(study: Study) -> Read:
     curve = None if study.curve is None else StiffnessCurve.from_dict(study.curve)
     drawing = None
     if study.drawing is not None:
-        drawing = Drawing.from_dict({"version": 1, "marks": study.drawing})
+        drawing = Drawing.from_dict({"marks": study.drawing})
     hold_edge = study.hold_edge and drawing is not None
     if study.where is not None:
         reference = study.image if study.image is not None else study.tissue

@@ -1,5 +1,6 @@
 """Tests of unsaved work: the question before closing, autosave and crash recovery."""
 
+import errno
 import os
 import re
 import signal
@@ -21,9 +22,8 @@ from napari_hmrf import (
     Grid,
     Motion,
     Pictures,
-    Stroke,
     Study,
-    array_file,
+    atomic_write,
     contributions,
     read_study,
     write_study,
@@ -35,7 +35,7 @@ from napari_hmrf.ui.soft_tissue import SoftTissue
 from tests.support.docks import dock_in, quick
 from tests.support.long_work import long_work
 from tests.support.screen import Screen
-from tests.support.timeouts import LONG, LONG_MS
+from tests.support.timeouts import LONG
 from tests.support.windowless import Touch
 
 DRAWING = Drawing((Arrow(at=(30, 30), by=(2.0, 5.0), radius=4.0),))
@@ -510,17 +510,20 @@ NOT_AUTOSAVED = "The work on 'photo' is not autosaved, so a crash would lose it"
 
 
 def test_work_that_cannot_be_autosaved_is_reported_with_the_reason(
-    dock, photo, qtbot, at_rest, monkeypatch
+    dock, photo, at_rest, monkeypatch
 ):
-    monkeypatch.setattr(array_file, "_HEADER_BYTES", 2**17)
-    points = tuple(map(tuple, np.random.default_rng(0).uniform(0, 60, (3_000, 2)).tolist()))
-    dock.drawing = Drawing((Stroke("confidence", (points,), 1.0),))
-    # Not with `at_rest`, which would write the long drawing again and again.
-    qtbot.waitUntil(lambda: NOT_AUTOSAVED in Screen(dock).words, timeout=LONG_MS)
-    assert "Remove marks or rows of tables" in Screen(dock).words
-    dock.drawing = DRAWING
+    with monkeypatch.context() as full:
+        full.setattr(atomic_write.os, "fsync", disk_full)
+        dock.drawing = DRAWING
+        at_rest.until(lambda: NOT_AUTOSAVED in Screen(dock).words)
+        assert "the disk is full" in Screen(dock).words
+    dock.drawing = OTHER
     at_rest.until(lambda: len(autosaved_files()) == 1)
     at_rest.until(lambda: NOT_AUTOSAVED not in Screen(dock).words)
+
+
+def disk_full(_):
+    raise OSError(errno.ENOSPC, "No space left on device")
 
 
 def test_work_without_a_folder_for_recovery_files_is_reported_until_it_is_saved(

@@ -7,11 +7,13 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import TypeAdapter, ValidationError
 
+from napari_hmrf.archive import STORED, ByClass, first_fault
 from napari_hmrf.arguments import tuple_of
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.problem import as_numbers
@@ -25,12 +27,7 @@ from napari_hmrf.tissue.drawing.marks import (
     between,
     grows,
     is_painted,
-    mark_as_dict,
-    mark_from_dict,
 )
-
-#: Version of the stored form of a drawing.
-_VERSION = 1
 
 
 class Hit(NamedTuple):
@@ -55,7 +52,9 @@ class Drawing:
         If `marks` is not a tuple or list of marks.
     """
 
-    marks: tuple[Mark, ...] = ()
+    __pydantic_config__ = STORED
+
+    marks: tuple[Annotated[Mark, ByClass()], ...] = ()
 
     def __post_init__(self) -> None:
         marks = tuple_of(Mark, "marks", self.marks, "Drawing((Arrow(...),))")
@@ -246,13 +245,8 @@ class Drawing:
         return canvas
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the drawing as a dictionary of JSON types, for files.
-
-        The displacements of a patch that is held as it is (`Arrow.motion`) are text: float32
-        numbers in base64, about 5 bytes for each component of a pixel. `from_dict` restores them
-        exactly.
-        """
-        return {"version": _VERSION, "marks": [mark_as_dict(mark) for mark in self.marks]}
+        """Return the drawing as a dictionary of JSON types and, for held patches, arrays."""
+        return dict(_STORED.dump_python(self))
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Drawing:
@@ -261,22 +255,20 @@ class Drawing:
         Raises
         ------
         ValueError
-            If the dictionary is not from `as_dict`, or if it is from another version.
+            If the dictionary is not from `as_dict`.
         """
         try:
-            version, marks = values["version"], tuple(values["marks"])
-        except (KeyError, TypeError) as error:
-            raise ValueError(f"not a drawing: {error}") from error
-        if version != _VERSION:
-            raise ValueError(
-                f"a drawing of version {version!r}, but this program reads version {_VERSION}. "
-                "Update napari-hmrf to open it"
-            )
-        return cls(tuple(map(mark_from_dict, marks)))
+            return _STORED.validate_python(values)
+        except ValidationError as error:
+            raise ValueError(f"not a drawing: {first_fault(error)}") from None
 
     def _check(self, number: int) -> None:
         if not 0 <= number < len(self.marks):
             raise IndexError(f"there is no mark {number}: the drawing has {len(self.marks)}")
+
+
+#: Validator of drawings that are stored.
+_STORED = TypeAdapter(Drawing)
 
 
 class Rendering:

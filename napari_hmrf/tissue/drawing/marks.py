@@ -7,11 +7,9 @@ Displacements are material: tissue at X moves to X + by.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from itertools import chain
-from typing import Annotated, Any, Literal
-
-from pydantic import InstanceOf
+from typing import Annotated, Literal
 
 from napari_hmrf.checks import (
     Choice,
@@ -23,7 +21,6 @@ from napari_hmrf.checks import (
     Spread,
     Vector,
     Whole,
-    Words,
     checked,
     convert,
 )
@@ -42,9 +39,6 @@ Action = Literal["pin", "free", "move", "expand", "confidence", "tissue", "slide
 def between(start: Point, end: Point, spacing: Iterable[float]) -> Point:
     """Return the displacement from one position in pixels to another, in the unit of `spacing`."""
     return tuple((b - a) * size for a, b, size in zip(start, end, spacing, strict=True))
-
-
-_Motion = Annotated[InstanceOf[PatchMotion] | None, Words("a PatchMotion")]
 
 
 class _Mark:
@@ -100,7 +94,7 @@ class Arrow(_Mark):
     confidence: PositiveShare = 1.0
     components: Annotated[Components, Choice()] = "both"
     amount: Number = 0.0
-    motion: _Motion = None
+    motion: PatchMotion | None = None
 
     @property
     def _places(self) -> list[Point]:
@@ -146,7 +140,7 @@ class Landmark(_Mark):
     confidence: PositiveShare = 1.0
     amount: Number = 0.0
     sd: Spread = 0.0
-    motion: _Motion = None
+    motion: PatchMotion | None = None
 
     @property
     def _places(self) -> list[Point]:
@@ -217,7 +211,7 @@ class Stroke(_Mark):
     softness: Share = 0.0
     label: Whole = 0
     components: Annotated[Components, Choice()] = "both"
-    motion: _Motion = None
+    motion: PatchMotion | None = None
 
     @property
     def _places(self) -> list[Point]:
@@ -251,7 +245,6 @@ class Stroke(_Mark):
 
 
 Mark = Arrow | Landmark | Stroke
-_KINDS: dict[str, type[Mark]] = {"arrow": Arrow, "landmark": Landmark, "stroke": Stroke}
 
 
 def is_painted(mark: Mark) -> bool:
@@ -264,38 +257,6 @@ def grows(mark: Mark) -> bool:
     if isinstance(mark, Stroke) and mark.action != "move":
         return mark.action == "expand"
     return mark.amount != 0
-
-
-def mark_as_dict(mark: Mark, motion: bool = True) -> dict[str, Any]:
-    """Return a mark as a dictionary of JSON types.
-
-    Parameters
-    ----------
-    mark : Mark
-    motion : bool
-        False to omit the displacements of the pixels of a held patch.
-    """
-    stored = {"kind": type(mark).__name__.lower(), **vars(mark)}
-    if mark.motion is not None:
-        stored["motion"] = mark.motion.as_dict(values=motion)
-    return stored
-
-
-def mark_from_dict(values: Mapping[str, Any]) -> Mark:
-    """Create a mark from a dictionary that `mark_as_dict` returned.
-
-    Raises
-    ------
-    ValueError
-        If the dictionary is not from `mark_as_dict`.
-    """
-    try:
-        rest = dict(values)
-        if rest.get("motion") is not None:
-            rest["motion"] = PatchMotion.from_dict(rest["motion"])
-        return _KINDS[rest.pop("kind")](**rest)
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"not a mark: {error}") from error
 
 
 def _starts(mark: Mark) -> list[Point]:

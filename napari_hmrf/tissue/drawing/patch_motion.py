@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import base64
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -28,8 +26,6 @@ _NODES = 4096
 #: Differences of displacement that are not stored, and rounding of stored displacements, as
 #: fractions of a pixel. The error of the solver in the window is up to 0.01 pixels.
 _UNIFORM, _ROUNDING = 0.01, 1e-4
-#: Data type of stored values: float32, little-endian.
-_STORED = np.dtype("<f4")
 _FIELDS = ("start", "step", "shape", "values")
 
 
@@ -96,37 +92,6 @@ class PatchMotion:
     def array(self) -> Array:
         """Displacements as an array of shape (*shape, n)."""
         return self.values.astype(float).reshape(*self.shape, len(self.shape))
-
-    def as_dict(self, values: bool = True) -> dict[str, Any]:
-        """Return the motion as a dictionary of JSON types; `from_dict` requires the values."""
-        stored = dict(zip(_FIELDS, self._lattice, strict=False))
-        return {**stored, "values": self._text} if values else stored
-
-    @classmethod
-    def from_dict(cls, stored: Mapping[str, Any]) -> PatchMotion:
-        """Create a motion from a dictionary that `as_dict` returned.
-
-        The values may also be an array.
-
-        Raises
-        ------
-        ValueError
-            If the dictionary is not from `as_dict`, or if it has no values.
-        """
-        values = stored.get("values")
-        if values is None:
-            raise ValueError(
-                "the motion of a held patch has no values, as in the record of a result. Use the "
-                "drawing of the study"
-            )
-        if isinstance(values, str):
-            values = np.frombuffer(base64.b64decode(values, validate=True), _STORED)
-        return cls(**{**stored, "values": values})
-
-    @cached_property
-    def _text(self) -> str:
-        """Values as text, stored because all records of a drawing share it."""
-        return base64.b64encode(self.values.astype(_STORED, copy=False).tobytes()).decode()
 
     def on(self, box: Sequence[slice]) -> Array:
         """Return the displacement at each pixel of a box, as an array of shape (*box, n)."""

@@ -173,7 +173,7 @@ class ArrowsLayer:
     def keep(self, drawing: Drawing) -> None:
         """Store the drawing in the metadata of the layer."""
         if self.layer is not None:
-            add_metadata(self._layer, drawing=drawing.as_dict())
+            add_metadata(self._layer, drawing=drawing)
 
     def show_cursor(self, circle: float | None) -> None:
         """Show a circle of this radius around the pointer; None hides the circle."""

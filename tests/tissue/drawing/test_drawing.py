@@ -224,7 +224,7 @@ def test_tissue_follows_the_drawing():
         (lambda: Stroke("pin", (), 1), "lines must be the paths of a brush"),
         (lambda: Stroke("pin", ((),), 1), "lines must be the paths of a brush"),
         (lambda: Stroke("pin", (((0, 0),),), 1).onward((0,)), "point must be finite numbers"),
-        (lambda: Arrow((0, 0), (1, 1), 2, motion=(1, 1)), "motion must be a PatchMotion"),
+        (lambda: Arrow((0, 0), (1, 1), 2, motion=(1, 1)), "motion: input should be .* an instance of patchmotion"),
         (lambda: Arrow((0, 0, 0), (1, 1), 2), r"must all be \(row, col\)"),
         (lambda: Stroke("pin", (((0, 0), (1, 2, 3)),), 1), r"must all be \(row, col\)"),
     ],
@@ -406,18 +406,17 @@ def test_a_drawing_survives_storage_as_json(made):
 @pytest.mark.parametrize(
     "values",
     [
-        {},
         None,
-        {"version": 99, "marks": []},
-        {"version": 1, "marks": [{"kind": "spell"}]},
-        {"version": 1, "marks": [{"kind": "arrow", "at": [0, 0]}]},
-        {"version": 1, "marks": [{"kind": "arrow", "at": [0], "by": [1, 1], "radius": 1}]},
-        {"version": 1, "marks": [{"at": [0, 0]}]},
-        {"version": 1, "marks": 3},
+        {"colour": 1},
+        {"marks": [{"class": "Spell"}]},
+        {"marks": [{"class": "Arrow", "at": [0, 0]}]},
+        {"marks": [{"class": "Arrow", "at": [0], "by": [1, 1], "radius": 1}]},
+        {"marks": [{"at": [0, 0]}]},
+        {"marks": 3},
     ],
 )
 def test_invalid_stored_drawings_are_refused(values):
-    with pytest.raises(ValueError, match=r"not a (drawing|mark)|version"):
+    with pytest.raises(ValueError, match="not a drawing: "):
         Drawing.from_dict(values)
 
 
