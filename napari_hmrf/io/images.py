@@ -281,7 +281,7 @@ def read_image(path: str | os.PathLike[str]) -> ImageFile:
     if n == 4 and count == 1:
         raise FileFormatError(
             f"{source.name}: the image has 4 axes, as a series over time or a field of FSL. "
-            "Extract one volume, or convert the field, as wb_command -convert-warpfield does."
+            "Extract one volume, or convert the field, as with wb_command -convert-warpfield."
         )
     if n not in (2, 3) or count not in (1, n, 3, 4):
         raise FileFormatError(

@@ -14,6 +14,8 @@ from napari_hmrf.errors import ProblemError
 FloatArray = npt.NDArray[np.float32]
 
 _LARGEST = float(np.finfo(np.float32).max)
+#: Largest number up to which a double stores every whole number.
+_EXACT = 2**53
 
 
 def _finite(array: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
@@ -71,14 +73,15 @@ def whole_numbers(field: str, labels: Any) -> npt.NDArray[Any]:
     array = as_numbers(field, labels)
     if array.dtype.kind != "f":
         return array
-    wrong = ~((array == np.rint(array)) & (np.abs(array) <= np.iinfo(np.int32).max))
+    wrong = ~((array == np.rint(array)) & (np.abs(array) <= _EXACT))
     if wrong.any():
         first = first_index(wrong)
         raise ProblemError(
             field,
             f"have the value {array[first]:g} at {first}. Pass whole numbers, one for each tissue.",
         )
-    return array.astype(np.int32)
+    is_small = np.abs(array).max(initial=0) <= np.iinfo(np.int32).max
+    return array.astype(np.int32 if is_small else np.int64)
 
 
 def as_int32(field: str, labels: Any) -> npt.NDArray[np.int32]:

@@ -461,10 +461,15 @@ def test_landmarks_along_the_axes_of_a_file_move_as_they_are_solved(tmp_path, or
     np.testing.assert_allclose(read_points(tmp_path / "moved.csv").points, [expected], atol=1e-4)
 
 
-def test_labels_beyond_32_bits_are_refused():
-    with pytest.raises(ProblemError) as error:
-        as_labels(np.array([[0.0, 3e9]]), Path("atlas.nii"))
-    assert error.value.field == "atlas.nii"
+@pytest.mark.parametrize("dtype", [np.uint32, np.int64, np.float64])
+def test_labels_beyond_32_bits_are_moved_but_not_solved(tmp_path, dtype):
+    labels = np.array([[0, 3e9, 2], [0, 3e9, 2]]).astype(dtype)
+    tifffile.imwrite(tmp_path / "atlas.tif", labels)
+    field = FieldFile.of(solution_of(np.zeros((2, 3, 2), np.float32)))
+    apply_field(field, tmp_path / "atlas.tif", tmp_path / "moved.tif", labels=True)
+    np.testing.assert_array_equal(tifffile.imread(tmp_path / "moved.tif"), labels)
+    with pytest.raises(ProblemError, match="3000000000, beyond 32 bits"):
+        as_labels(labels, Path("atlas.tif"))
 
 
 def test_many_labels_moved_as_an_image_cause_a_note(tmp_path):
