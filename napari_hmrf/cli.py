@@ -278,6 +278,7 @@ def _solve(options: argparse.Namespace) -> int:
         rules=options.rules,
         confidence=confidence if confidence in (None, "edges") else Path(confidence),
         slice=options.slice,
+        spacing=options.spacing,
         hold_edge=options.hold_edge,
         model=options.model and MODELS[options.model],
         forward=options.forward,
@@ -314,6 +315,7 @@ def _register(options: argparse.Namespace) -> int:
         moving_mask=options.moving_mask,
         landmarks=options.landmarks,
         landmark_sd=options.landmark_sd,
+        spacing=options.spacing,
         alignment=options.alignment,
         smoothness=options.smoothness,
     )

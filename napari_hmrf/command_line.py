@@ -407,6 +407,7 @@ def _add_solve(commands: Commands) -> None:
         "the word edges, for full confidence at edges in the image only",
     )
     _add_slice(solve)
+    _add_spacing(solve)
     solve.add_argument("--hold-edge", action="store_true", help="fix the outer edge of the tissue")
     solve.add_argument(
         "--model", type=as_word, choices=MODELS, help="model of the tissue (default: elastic)"
@@ -507,6 +508,7 @@ def _add_register(commands: Commands) -> None:
         metavar="SD",
         help="standard deviation of landmarks without one, in the unit of FIXED (default: a pixel)",
     )
+    _add_spacing(register)
     register.add_argument(
         "--smoothness",
         type=positive_option,
@@ -580,6 +582,16 @@ def _add_slice(command: argparse.ArgumentParser) -> None:
         type=int,
         metavar="N",
         help="index of a slice along the first axis of a volume (default: the whole volume)",
+    )
+
+
+def _add_spacing(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--spacing",
+        type=energy_option("spacing"),
+        metavar="[PLANE/]ROW/COLUNIT",
+        help="size of a pixel along each axis of a picture whose file does not state it, such as "
+        "2.5/0.5/0.5um (default: pixels of size 1)",
     )
 
 

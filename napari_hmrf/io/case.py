@@ -25,6 +25,7 @@ from napari_hmrf.io.fields import geometry_of
 from napari_hmrf.io.images import (
     ImageFile,
     read_image,
+    read_picture_as,
     result_suffix,
     shape_of,
     stem_of,
@@ -86,7 +87,7 @@ def read_case(case: Case) -> Study:
         return read_study(case.image).study
     if case.slice is None:
         require_memory(shape_of(case.image), STUDY, case.image.name)
-    whole = read_image(case.image)
+    whole = read_picture_as(case.image, case.spacing)
     _refuse_unused(case, whole.ndim == 2)
     image = _part(whole, case)
     image.refuse_as_volume(case.image.name)

@@ -58,6 +58,9 @@ class Case:
         1 wherever the field is defined.
     slice : int, optional
         Index of a slice along the first axis of a volume; by default, the whole volume is solved.
+    spacing : (tuple of float, str), optional
+        Size of a pixel along each axis of `image` and its unit, if it is a picture whose file does
+        not state them, such as ``((2.5, 0.5, 0.5), "µm")``.
     hold_edge : bool
         True if the outer edge of the tissue is fixed.
     model : str, optional
@@ -88,6 +91,7 @@ class Case:
     forward: bool = False
     confidence: Path | Literal["edges"] | None = None
     slice: int | None = None
+    spacing: tuple[tuple[float, ...], str] | None = None
     hold_edge: bool = False
     model: str | None = None
     poisson: float | None = None

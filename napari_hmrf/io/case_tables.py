@@ -4,8 +4,9 @@ A table can have the following columns:
 
 - the ``name`` of the case;
 - the input and options of ``napari-hmrf solve``: ``image`` or ``study``, ``labels``, ``maps``,
-  ``materials``, ``boundary``, ``rules``, ``forward``, ``confidence``, ``slice``, ``hold-edge``,
-  ``model``, ``plane``, ``tolerance``, ``budget``, ``penalty``, ``weight`` and ``cavity``;
+  ``materials``, ``boundary``, ``rules``, ``forward``, ``confidence``, ``slice``, ``spacing``,
+  ``hold-edge``, ``model``, ``plane``, ``tolerance``, ``budget``, ``penalty``, ``weight`` and
+  ``cavity``;
 - values that replace numbers in the files of the case: ``poisson``, ``growth:TISSUE``,
   ``stiffness:TISSUE``, ``poisson:TISSUE`` and ``amount:BOUNDARY``, in which a tissue or boundary is
   identified by its label or name.
@@ -28,9 +29,10 @@ from typing import Any, get_args
 
 from napari_hmrf.arguments import checked_path
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
+from napari_hmrf.field.units import UNKNOWN_UNITS, is_length
 from napari_hmrf.io.case_options import Case
 from napari_hmrf.io.csv_files import read_csv, unknown_column
-from napari_hmrf.io.images import read_image, stem_of
+from napari_hmrf.io.images import length_unit, read_image, stem_of
 from napari_hmrf.io.sweeps import OF_BOUNDARIES, OF_TISSUES, Change
 from napari_hmrf.io.tables import value_of
 from napari_hmrf.solver.model_names import MODELS, as_word
@@ -42,7 +44,8 @@ _LARGEST = 2**24
 _FILES = "image", "labels", "materials", "boundary", "rules", "confidence"
 _ENERGY_OPTIONS = "plane", "tolerance", "budget", "penalty", "weight", "cavity"
 _COLUMNS = (
-    *("name", "study", *_FILES, "maps", "forward", "slice", "hold-edge", "model", "poisson"),
+    *("name", "study", *_FILES, "maps", "forward", "slice", "spacing", "hold-edge"),
+    *("model", "poisson"),
     *_ENERGY_OPTIONS,
 )
 #: Columns in which a cell can contain several values, with one case for each value.
@@ -168,7 +171,7 @@ def read_energy(name: str, text: str) -> Any:
 
     Parameters
     ----------
-    name : {"plane", "tolerance", "budget", "penalty", "weight", "cavity"}
+    name : {"plane", "tolerance", "budget", "penalty", "weight", "cavity", "spacing"}
     text : str
         Text from a shell or a table. The components of a weight, and the pressure, the fluid and
         the level of a cavity, are separated by slashes.
@@ -187,6 +190,8 @@ def read_energy(name: str, text: str) -> Any:
         if text.casefold() not in get_args(Plane):
             raise ValueError(" or ".join(get_args(Plane)))
         return text.casefold()
+    if name == "spacing":
+        return _spacing(text)
     try:
         numbers = tuple(float(part) for part in text.split("/"))
     except ValueError:
@@ -208,6 +213,20 @@ def read_energy(name: str, text: str) -> Any:
     if len(numbers) != 1 or not 0 < numbers[0] < math.inf:
         raise ValueError("a number above 0")
     return numbers[0]
+
+
+def _spacing(text: str) -> tuple[tuple[float, ...], str]:
+    """Return the sizes of a pixel and their unit."""
+    sizes = re.findall(r"[\d.]+", text)
+    unit = length_unit(text[len("/".join(sizes)) :].strip())
+    try:
+        numbers = tuple(map(float, sizes))
+    except ValueError:
+        numbers = ()
+    is_right = len(numbers) in (2, 3) and all(numbers) and text.startswith("/".join(sizes))
+    if not is_right or unit in UNKNOWN_UNITS or not is_length(unit):
+        raise ValueError("a size along each axis and a unit, such as 2.5/0.5/0.5um")
+    return numbers, unit
 
 
 def _sweep_of_named(kind: str) -> str:
@@ -293,7 +312,7 @@ def _named_case(name: str, cells: dict[str, str], folder: Path, where: str) -> N
     for title, text in flags.items():
         if text not in (*_YES, *_NO):
             raise refuse(title, "yes or no")
-    for title in _ENERGY_OPTIONS:
+    for title in ("spacing", *_ENERGY_OPTIONS):
         if title in cells:
             try:
                 files[title] = read_energy(title, cells[title])

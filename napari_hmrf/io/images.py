@@ -215,7 +215,7 @@ class ImageFile(NamedTuple):
             raise ProblemError(
                 name,
                 "states the size of its pixels, but not the distance of its slices. Set it, in "
-                "Fiji by Image > Properties.",
+                "Fiji by Image > Properties, or give --spacing.",
             )
         if self.ndim == 3 and self.stack:
             raise ProblemError(
@@ -482,9 +482,46 @@ def _pixel_size(file: Any, axes: str) -> tuple[tuple[float, ...], str]:
             return (), "pixel"
         if min(sizes["Y"], sizes["X"]) > 0 and (unit != "pixel" or sizes["Z"] != 1):
             sides = tuple(sizes.get(axis, 1.0) for axis in axes.rstrip("S"))
-            known = (each for each in _UNITS if math.isclose(unit_factor(unit, each), 1.0))
-            return sides, next(known, unit)
+            return sides, length_unit(unit)
     return (), "pixel"
+
+
+def length_unit(name: str) -> str:
+    """Return the usual symbol of a unit of length, such as "µm" for "micron", or its name."""
+    return next((each for each in _UNITS if math.isclose(unit_factor(name, each), 1.0)), name)
+
+
+def read_picture_as(
+    path: str | os.PathLike[str], spacing: tuple[tuple[float, ...], str] | None
+) -> ImageFile:
+    """Read an image, and give the pixels of a picture a size.
+
+    Parameters
+    ----------
+    path : str or path-like
+    spacing : (tuple of float, str) or None
+        Size of a pixel along each axis of the file, and its unit; None for the size in the file.
+
+    Raises
+    ------
+    HmrfError
+        If the file states the size of its pixels, or has another number of axes; or as for
+        `read_image`.
+    OSError
+        If the file cannot be opened.
+    """
+    image, name = read_image(path), Path(path).name
+    if spacing is None:
+        return image
+    sizes, unit = spacing
+    if image.geometry is not None or (image.sizes and 0.0 not in image.sizes):
+        raise HmrfError(f"{name} states the size of its pixels. Leave out --spacing.")
+    if len(sizes) != image.ndim:
+        raise HmrfError(
+            f"--spacing has {len(sizes)} sizes, but {name} has {image.ndim} axes. Give one size "
+            "for each axis."
+        )
+    return image._replace(sizes=sizes, unit=unit)
 
 
 def _ome_size(file: Any) -> tuple[dict[str, float], str]:

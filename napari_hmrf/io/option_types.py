@@ -16,7 +16,7 @@ def energy_option(name: str) -> Callable[[str], Any]:
 
     Parameters
     ----------
-    name : {"plane", "tolerance", "budget", "penalty", "weight", "cavity"}
+    name : {"plane", "tolerance", "budget", "penalty", "weight", "cavity", "spacing"}
     """
 
     def read(text: str) -> Any:

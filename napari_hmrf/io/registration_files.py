@@ -24,7 +24,7 @@ from napari_hmrf.field.units import unit_factor, unit_symbol
 from napari_hmrf.io.case import read_case, result_image
 from napari_hmrf.io.case_options import Case
 from napari_hmrf.io.fields import placed, write_mapping
-from napari_hmrf.io.images import read_image, result_suffix, shape_of, stem_of, write_image
+from napari_hmrf.io.images import read_picture_as, result_suffix, shape_of, stem_of, write_image
 from napari_hmrf.io.itk_files import has_simpleitk
 from napari_hmrf.io.landmark_files import read_points
 from napari_hmrf.io.landmark_frames import in_pixels
@@ -80,6 +80,8 @@ class RegistrationCase:
     landmark_sd : float, optional
         Standard deviation of landmarks without one in their file, in the unit of `fixed`; by
         default, one pixel.
+    spacing : (tuple of float, str), optional
+        Size of a pixel of both images, as in a `Case`.
     alignment : {"rigid", "affine"}, optional
         Alignment by SimpleITK before tissue deforms. By default, the positions of both images are
         used as they are.
@@ -96,6 +98,7 @@ class RegistrationCase:
     moving_mask: Path | None = None
     landmarks: Path | None = None
     landmark_sd: float | None = None
+    spacing: tuple[tuple[float, ...], str] | None = None
     alignment: Literal["rigid", "affine"] | None = None
     smoothness: float = 1.0
 
@@ -272,9 +275,15 @@ class _Pair:
                 raise HmrfError(f"{path.name} is a study. Give an image.")
             require_memory(shape_of(path), REGISTRATION, path.name)
         study = read_case(
-            Case(case.fixed, labels=case.labels, materials=case.materials, maps=case.maps)
+            Case(
+                case.fixed,
+                labels=case.labels,
+                materials=case.materials,
+                maps=case.maps,
+                spacing=case.spacing,
+            )
         )
-        other = read_case(Case(case.moving))
+        other = read_case(Case(case.moving, spacing=case.spacing))
         _refuse_other_dimension(case, study, other)
         growing = [row for row in study.tissue.materials if row.grows]
         if growing:
@@ -492,7 +501,7 @@ def _landmarks(case: RegistrationCase, pair: _Pair, matrix: Float64Array) -> Lan
         )
     n, sizes = len(pair.spacing), np.asarray(pair.spacing)
     points, targets = (
-        in_pixels(file, points, read_image(image), name)[:, -n:]
+        in_pixels(file, points, read_picture_as(image, case.spacing), name)[:, -n:]
         for image, points in ((case.fixed, file.points), (case.moving, file.targets))
     )
     if not len(points):

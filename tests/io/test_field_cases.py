@@ -18,7 +18,8 @@ from napari.components import ViewerModel
 from napari.layers import Layer
 from napari.layers._source import layer_source
 
-from napari_hmrf import FileFormatError, Grid, ProblemError
+from napari_hmrf import FileFormatError, Grid, HmrfError, ProblemError, read_study
+from napari_hmrf.cli import main
 from napari_hmrf.contributions import open_landmarks, open_scan
 from napari_hmrf.fields import read_field
 from napari_hmrf.io import case
@@ -384,6 +385,35 @@ def test_the_calibration_of_a_tif_counts(tmp_path, monkeypatch, axes, sizes, uni
         study_from_layers(request)
     layer.scale, layer.units = sizes, (read_as,) * n
     assert study_from_layers(request).grid.spacing == pytest.approx(sizes)
+
+
+def test_a_picture_without_a_pixel_size_can_be_given_one(tmp_path, capsys):
+    write_tiff(tmp_path / "a.tif", "ZYX")
+    (tmp_path / "marks.csv").write_text("a,true,1,1,5,1.5,1,5\n")
+    command = [
+        "solve",
+        "a.tif",
+        "--boundary",
+        "marks.csv",
+        "--hold-edge",
+        "--spacing",
+        "2.5/0.5/0.5um",
+    ]
+    command = [
+        str(tmp_path / each) if "." in each and "/" not in each else each for each in command
+    ]
+    assert main([*command, "-o", str(tmp_path / "out")]) == 0
+    study, solution = read_study(tmp_path / "out" / "a.study")
+    assert (study.grid.spacing, study.grid.unit) == ((2.5, 0.5, 0.5), "µm")
+    np.testing.assert_allclose(solution.displacement[2, 2, 2], (0, 0, 0.5), atol=1e-3)
+    assert read_image(tmp_path / "out" / "a deformed.tif").sizes == (2.5, 0.5, 0.5)
+    sitk.WriteImage(sitk.Image([7, 6, 5], sitk.sitkInt16), str(tmp_path / "a.nrrd"))
+    for path, spacing in ((tmp_path / "a.nrrd", (1, 1, 1)), (tmp_path / "a.tif", (1, 1))):
+        with pytest.raises(HmrfError, match=r"--spacing"):
+            read_case(Case(path, spacing=(spacing, "mm")))
+    with pytest.raises(SystemExit):
+        main([*command[:-1], "2.5/0.5/0.5", "-o", str(tmp_path / "out")])
+    assert "a unit" in capsys.readouterr().err
 
 
 def test_pictures_with_pixels_of_different_units_are_not_compared(tmp_path):
