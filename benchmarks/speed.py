@@ -662,8 +662,8 @@ def _sample(grid: tuple[int, ...]) -> Work:
     """Return the work of one sample, beside a solve after a change of the motion."""
     from napari_hmrf.landmarks import StrainScale
     from napari_hmrf.posterior.noise import PosteriorNoise
-    from napari_hmrf.posterior.response import Response
     from napari_hmrf.posterior.sampling import Sampler, checked_prior, energy_of
+    from napari_hmrf.solver.operator import Operator
 
     away = np.linalg.norm(np.indices(grid).T - (np.array(grid[::-1]) - 1) / 2, axis=-1).T
     m = np.where(away < grid[0] / 5, 5.0, 1.0)
@@ -674,7 +674,7 @@ def _sample(grid: tuple[int, ...]) -> Work:
     problem = Problem(observed=y, confidence=c, stiffness=m)
     prior = checked_prior(problem, None)
     noise = PosteriorNoise(problem, prior, energy_of(problem, StrainScale(0.1)))
-    sampler = Sampler(Response(problem, prior, "cpu"), noise, 0)
+    sampler = Sampler(Operator(problem, prior, "cpu"), noise, 0)
     seeds, moves = itertools.count(), itertools.count(1)
 
     def moved() -> Problem:

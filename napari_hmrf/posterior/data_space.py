@@ -29,9 +29,9 @@ import numpy.typing as npt
 import scipy
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.posterior.response import Response
 from napari_hmrf.solver.connected import connected
 from napari_hmrf.solver.neighbours import sites_of_elements
+from napari_hmrf.solver.operator import Operator
 from napari_hmrf.solver.optimizers import Monitor, Multigrid
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.problem import Problem, variant_of
@@ -43,8 +43,8 @@ Float64Array = npt.NDArray[np.float64]
 
 #: Largest number of observed components.
 _MOST = 3000
-#: Factor on the tolerance of a sample: responses must be more accurate than samples.
-_ACCURACY = 0.01
+#: Largest error of a response, relative to the root mean square length of its displacements.
+_ACCURACY = 3e-4
 #: Error of the motion without observations, relative to the least standard deviation.
 _MEAN_ACCURACY = 0.01
 #: Smallest and largest tolerance of this motion, in pixels.
@@ -274,20 +274,17 @@ def _responses(
     cancel: CancelFlag | None,
 ) -> Float64Array:
     """Return the observed motion due to a unit force at each observation, shape (m, m)."""
-    response = Response(problem, prior, backend, cancel)
+    operator = Operator(problem, prior, backend)
     count = len(data.values)
     found = np.zeros((count, count))
     moves = (problem.tissue[..., np.newaxis] & ~problem.known).ravel()
-    tolerance: float | None = None
     for number in range(count):
         if progress is not None:
             progress(Monitor(f"observation {number + 1} of {count}", number / count))
         force = data.rows[[number]].toarray().reshape(problem.observed.shape)
         if not force.ravel()[moves].any():
             continue  # held tissue
-        if tolerance is None:
-            tolerance = _ACCURACY * response.tolerance_for(force)
-        found[number] = data.rows @ response.to(force, tolerance).ravel()
+        found[number] = data.rows @ operator.solve(force, _ACCURACY, cancel=cancel).ravel()
     if progress is not None:
         progress(Monitor(f"{count} observations", 1.0))
     return found

@@ -30,11 +30,11 @@ from napari_hmrf.checks import POISSON_RANGE
 from napari_hmrf.errors import Cancelled, ConvergenceError, ProblemError
 from napari_hmrf.posterior.field_data import FieldData
 from napari_hmrf.posterior.pair_data import ImagePairData
-from napari_hmrf.posterior.response import Response
 from napari_hmrf.posterior.sampling import checked_prior
 from napari_hmrf.posterior.uncertainty import checked_labels
 from napari_hmrf.registration.matching import Images, schedule
 from napari_hmrf.solver.loads import Loads
+from napari_hmrf.solver.operator import Operator
 from napari_hmrf.solver.optimizers import Monitor, Multigrid
 from napari_hmrf.solver.priors import Elastic, ElasticPrior, NeoHookeanPrior, Prior
 from napari_hmrf.solver.problem import Problem, as_numbers, variant_of
@@ -591,13 +591,12 @@ class _Fitter:
         """Return the derivatives of the displacement, as responses to forces."""
         tissue, solution = state.tissue, state.solution
         assert isinstance(tissue.prior, ElasticPrior)
-        response = Response(tissue.problem, tissue.prior, self._solver.backend, self._solver.cancel)
+        operator = Operator(tissue.problem, tissue.prior, self._solver.backend)
         forces = _forces(tissue, solution)
         for each in self._properties:
             changed, step = each.change(tissue)
             push = -(_forces(changed, solution) - forces) / step
-            moves = push.any()
-            yield response.to(push).astype(np.float64) if moves else np.zeros_like(push)
+            yield operator.solve(push, cancel=self._solver.cancel).astype(np.float64)
 
     def _probed(self, values: Float64Array, state: _State) -> Iterator[Float64Array]:
         """Return the derivatives of the displacement, as differences of two solutions."""

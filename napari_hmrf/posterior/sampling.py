@@ -11,11 +11,12 @@ import numpy.typing as npt
 from napari_hmrf.arguments import is_whole, refuse_unless
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.posterior.noise import PosteriorNoise
-from napari_hmrf.posterior.response import Response
 from napari_hmrf.posterior.tissue_box import TissueBox
 from napari_hmrf.solver.connected import connected
+from napari_hmrf.solver.operator import Operator, typical_size
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors import ElasticPrior, Prior
+from napari_hmrf.solver.priors.elements import lame_ratio
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.rigid_modes import check_held
 from napari_hmrf.solver.sliding_parts import refuse_sliding
@@ -25,14 +26,19 @@ from napari_hmrf.solver.uncertain_landmarks import StrainScale, checked_scale
 Float32Array = npt.NDArray[np.float32]
 Float64Array = npt.NDArray[np.float64]
 
-#: Tolerance of a sample, relative to that of other responses. The error estimate of the solver is
-#: cautious, above all in the first cycles: errors of samples are about 1 % of their size, and the
-#: standard deviations of patches are at most 0.3 % too small. Twice this tolerance makes those of
-#: large patches up to 2 % too small, because cycles reduce smooth motions last.
-_TOLERANCE = 3.5
+#: Tolerance of a sample, relative to the root mean square length of its displacements. The error
+#: estimate of the solver is cautious, above all in the first cycles: errors of samples are about
+#: 1 % of their size, and the standard deviations of patches are at most 0.3 % too small. Twice this
+#: tolerance makes those of large patches up to 2 % too small, because cycles reduce smooth motions
+#: last.
+_TOLERANCE = 0.105
 #: Tolerance for nearly incompressible tissue, where smooth motions are found late. With the
 #: tolerance of other tissue, standard deviations of large patches are up to 5 % too small.
-_TOLERANCE_INCOMPRESSIBLE = 0.5
+_TOLERANCE_INCOMPRESSIBLE = 0.015
+#: Largest ratio lambda / mu of compressible tissue: a Poisson's ratio of 0.46.
+_MOST_RATIO = 12.0
+#: Tolerance of the first sample, of which only the size is required.
+_ROUGH = 0.5
 
 
 def sample_posterior(
@@ -111,9 +117,9 @@ def sample_posterior(
     def samples() -> Iterator[Float32Array]:
         box = TissueBox.of(problem, elastic)
         mean = box.solve(backend, cancel).displacement
-        inner = connected(box.problem, box.prior).without_orphans
-        response = Response(inner, box.prior, backend, cancel)
-        sampler = Sampler(response, PosteriorNoise(inner, box.prior, energy), seed)
+        operator = Operator(box.problem, box.prior, backend)
+        noise = PosteriorNoise(operator.problem, operator.prior, energy)
+        sampler = Sampler(operator, noise, seed, cancel)
         for number in range(n):
             if progress is not None:
                 progress(Monitor(f"sample {number + 1} of {n}", number / n))
@@ -193,16 +199,27 @@ class Sampler:
 
     Parameters
     ----------
-    response : Response
+    operator : Operator
     noise : PosteriorNoise
+        Noise of the problem of the operator.
     seed : int
+    cancel : threading.Event or similar, optional
     """
 
-    def __init__(self, response: Response, noise: PosteriorNoise, seed: int) -> None:
-        self._response, self._noise, self._seed = response, noise, seed
-        tolerance = _TOLERANCE_INCOMPRESSIBLE if response.is_incompressible else _TOLERANCE
+    def __init__(
+        self,
+        operator: Operator,
+        noise: PosteriorNoise,
+        seed: int,
+        cancel: CancelFlag | None = None,
+    ) -> None:
+        self._operator, self._noise, self._seed, self._cancel = operator, noise, seed, cancel
+        material = operator.material
+        incompressible = lame_ratio(material.largest_poisson, material.strain) > _MOST_RATIO
+        rough = operator.solve(self._force(0), _ROUGH, cancel=cancel)[operator.moves]
+        tolerance = _TOLERANCE_INCOMPRESSIBLE if incompressible else _TOLERANCE
         #: Largest error of a deviation, in the unit of `spacing`.
-        self.tolerance = tolerance * response.tolerance_for(self._force(0))
+        self.tolerance = tolerance * typical_size(rough)
 
     def deviation(self, number: int) -> npt.NDArray[np.floating]:
         """Return the deviation of a sample, shape (H, W, 2) or (D, H, W, 3), in unit of `spacing`.
@@ -212,7 +229,7 @@ class Sampler:
         number : int
             Number of the sample, from 0. The deviation depends on the seed and this number only.
         """
-        return self._response.to(self._force(number), self.tolerance)
+        return self._operator.solve(self._force(number), atol=self.tolerance, cancel=self._cancel)
 
     def _force(self, number: int) -> Float32Array:
         return self._noise.force(self._seed, number)

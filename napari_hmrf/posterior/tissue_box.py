@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 
 from napari_hmrf.solver.elasticity import Elasticity
 from napari_hmrf.solver.priors import ElasticPrior
@@ -46,7 +47,8 @@ class TissueBox:
         """Return the box of the tissue of a problem."""
         if not problem.is_volume:
             return cls((slice(None),) * 2, problem, prior, problem, prior)
-        sites = tuple(_range(problem.tissue, axis) for axis in range(3))
+        (box,) = scipy.ndimage.find_objects(problem.tissue.view(np.int8))
+        sites = tuple(slice(max(0, b.start - _MARGIN), b.stop + _MARGIN) for b in box)
         poisson, part = prior.poisson, prior
         if isinstance(poisson, np.ndarray):
             part = replace(prior, poisson=poisson[sites])
@@ -86,10 +88,3 @@ class TissueBox:
         made = np.zeros((*grid, *values.shape[len(grid) :]), values.dtype)
         made[self.sites] = values
         return made
-
-
-def _range(tissue: npt.NDArray[np.bool_], axis: int) -> slice:
-    """Return the range of sites along an axis that contains all tissue, with a margin."""
-    others = tuple(each for each in range(tissue.ndim) if each != axis)
-    at = np.flatnonzero(tissue.any(axis=others))
-    return slice(max(0, int(at[0]) - _MARGIN), int(at[-1]) + 1 + _MARGIN)

@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,10 +18,9 @@ import scipy
 from napari_hmrf.arguments import is_whole, real, refuse_unless
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.posterior.noise import PosteriorNoise
-from napari_hmrf.posterior.response import Response
 from napari_hmrf.posterior.sampling import Sampler, checked_prior, energy_of
 from napari_hmrf.posterior.tissue_box import TissueBox
-from napari_hmrf.solver.connected import connected
+from napari_hmrf.solver.operator import Operator
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.problem import Problem, as_numbers, whole_numbers
@@ -291,15 +291,19 @@ def uncertainty(
     box = TissueBox.of(problem, elastic)
     solution = box.solve(backend, cancel)
     moved = solution.displacement[box.sites]
-    inner = connected(box.problem, box.prior).without_orphans
-    response = Response(inner, box.prior, backend, cancel)
+    operator = Operator(box.problem, box.prior, backend)
     means = _LabelMeans(
-        None if numbers is None else numbers[box.sites], moved, box.problem.tissue, response, energy
+        None if numbers is None else numbers[box.sites],
+        moved,
+        box.problem.tissue,
+        partial(operator.solve, cancel=cancel),
+        energy,
     )
     steps = max(1, n + len(means.labels))
     report = progress or (lambda _: None)
     if n:
-        sampler = Sampler(response, PosteriorNoise(inner, box.prior, energy), seed)
+        noise = PosteriorNoise(operator.problem, operator.prior, energy)
+        sampler = Sampler(operator, noise, seed, cancel)
         sd, along = map(
             box.whole,
             _of_patches(
@@ -403,7 +407,8 @@ class _LabelMeans:
     displacement : ndarray, shape (H, W, 2) or (D, H, W, 3)
         Most likely displacement.
     tissue : ndarray of bool, shape (H, W) or (D, H, W)
-    response : Response
+    response : callable
+        Returns the displacement of the tissue due to forces.
     energy : float
         Unit of energy.
     """
@@ -413,7 +418,7 @@ class _LabelMeans:
         numbers: npt.NDArray[Any] | None,
         displacement: npt.NDArray[Any],
         tissue: npt.NDArray[np.bool_],
-        response: Response,
+        response: Callable[[Float64Array], npt.NDArray[np.floating]],
         energy: float,
     ) -> None:
         self._numbers = np.zeros(tissue.shape, int) if numbers is None else numbers
@@ -431,7 +436,7 @@ class _LabelMeans:
         share = sites / np.float64(sites.sum())
         covariance = np.zeros((axes, axes))
         for axis in range(axes):
-            moved = self._response.to(share[..., None] * np.eye(axes)[axis])
+            moved = self._response(share[..., None] * np.eye(axes)[axis])
             covariance[axis] = self._mean(moved * share[..., None])
         covariance = (covariance + covariance.T) / 2
         lengths = np.sqrt((d.astype(np.float64) ** 2).sum(axis=-1, keepdims=True))
@@ -440,7 +445,7 @@ class _LabelMeans:
         if length:
             ways = np.divide(d, lengths, out=np.zeros(d.shape), where=lengths > 0)
             weights = ways * share[..., None]
-            variance = float(self._mean(self._response.to(weights) * weights).sum())
+            variance = float(self._mean(self._response(weights) * weights).sum())
             along = math.sqrt(max(0.0, variance))
         mean = d[sites].mean(axis=0, dtype=np.float64)
         return MeanDisplacement(mean, covariance, length, along)

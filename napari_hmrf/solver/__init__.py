@@ -15,6 +15,7 @@ A solve has five steps:
 5. *Solution.* `solve` converts the field to units of length and returns a `solution` with the
    estimated error, the energies, and a record of the run.
 
+`operator` prepares a problem once and solves it for any forces, with all observations at rest.
 `live_solver` repeats these steps while a user edits the problem: the latest request wins, and each
 solve starts from earlier solutions (`warm_start`).
 """

@@ -7,15 +7,16 @@ import platform
 import queue
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
+import numpy.typing as npt
 
 from napari_hmrf.arguments import require_flag, shown
 from napari_hmrf.errors import (
@@ -38,7 +39,7 @@ from napari_hmrf.solver.backends.compile_cache.loops import are_compiled
 from napari_hmrf.solver.backends.earlier_results import WarmStart
 from napari_hmrf.solver.backends.thread import STOPPED, compute_thread
 from napari_hmrf.solver.caveats import rigid_caveat
-from napari_hmrf.solver.connected import connected
+from napari_hmrf.solver.connected import Connected, connected
 from napari_hmrf.solver.drift import has_drift, solve_with_drift
 from napari_hmrf.solver.elasticity import Elasticity
 from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid, Optimizer
@@ -54,6 +55,7 @@ from napari_hmrf.solver.volume_memory import check_memory
 from napari_hmrf.solver.warm_start import Initial, combine_solutions, nearest_to_targets
 
 Progress = Callable[[Monitor], None]
+T = TypeVar("T")
 _log = logging.getLogger("napari_hmrf")
 _announced: set[str] = set()
 
@@ -159,20 +161,47 @@ def solve(
     require_flag("rest_loose", rest_loose)
     if rest_loose:
         return _with_loose_at_rest(problem, prior, optimizer, backend, progress, cancel, initial)
-    stop = cancel or threading.Event()
+
+    def work(report: Progress | None) -> Solution:
+        return _solve_all(problem, prior, optimizer, backend, report, initial)
+
+    return on_compute_thread(work, progress, cancel)
+
+
+def on_compute_thread(
+    work: Callable[[Progress | None], T], progress: Progress | None, cancel: CancelFlag | None
+) -> T:
+    """Run work on the compute thread, and wait for its result.
+
+    Parameters
+    ----------
+    work : callable
+        Called with a function for progress reports, or with None if `progress` is None.
+    progress, cancel
+        As for `solve`.
+
+    Raises
+    ------
+    Cancelled
+        If `cancel` was set before the work was done.
+    """
+    interrupted = threading.Event()
+
+    def is_stopped() -> bool:
+        return interrupted.is_set() or (cancel is not None and cancel.is_set())
+
+    def run(report: Progress | None) -> T:
+        with compute_thread.unless(is_stopped):
+            return work(report)
+
     if compute_thread.is_current():
-        return run_here(problem, prior, optimizer, backend, progress, stop, initial)
+        return run(progress)
     reports: queue.SimpleQueue[Monitor | None] = queue.SimpleQueue()
     # Without `progress`, send no reports: each report wakes the caller, which slows the work.
     send = None if progress is None else reports.put
-    interrupted = threading.Event()
-    either = _Either(stop, interrupted)
-    job: Future[Solution] | None = None
+    job: Future[T] | None = None
     try:
-        job = compute_thread.submit(
-            lambda: run_here(problem, prior, optimizer, backend, send, either, initial),
-            lambda: STOPPED if either.is_set() else _DOING,
-        )
+        job = compute_thread.submit(lambda: run(send), lambda: STOPPED if is_stopped() else _DOING)
         job.add_done_callback(lambda _: reports.put(None))
         while (report := _next(reports, cancel)) is not None:
             if progress is not None:
@@ -306,27 +335,39 @@ def run_here(
     """
     if not compute_thread.is_current():
         raise RuntimeError("run_here() is for jobs of the compute thread; call solve() instead")
-    progress = None if progress is None else StagedProgress(progress)
     with compute_thread.unless(cancel.is_set):
-        if problem.sliding is not None:
+        return _solve_all(problem, prior, optimizer, backend, progress, initial)
 
-            def solve_parts(
-                parts: Problem, of_parts: ElasticPrior, schedule: Optimizer, begin: Initial | None
-            ) -> Solution:
-                return _solution_of(parts, of_parts, schedule, backend, progress, begin)
 
-            return solve_with_sliding(problem, prior, optimizer, initial, solve_parts)
-        if not has_drift(problem, prior):
-            return _solution_of(problem, prior, optimizer, backend, progress, initial)
-        elastic = prior if isinstance(prior, ElasticPrior) else ElasticPrior()
+def _solve_all(
+    problem: Problem,
+    prior: Prior | None,
+    optimizer: Optimizer | None,
+    backend: str,
+    progress: Progress | None,
+    initial: Initial | None,
+) -> Solution:
+    """Solve a problem, which may have sliding parts or a drift."""
+    progress = None if progress is None else StagedProgress(progress)
+    if problem.sliding is not None:
 
-        def solve_one(
-            part: Problem, schedule: Optimizer, begin: Initial | None, report: Progress | None
+        def solve_parts(
+            parts: Problem, of_parts: ElasticPrior, schedule: Optimizer, begin: Initial | None
         ) -> Solution:
-            return _solution_of(part, elastic, schedule, backend, report, begin)
+            return _solution_of(parts, of_parts, schedule, backend, progress, begin)
 
-        schedule = optimizer or Multigrid()
-        return solve_with_drift(problem, elastic, schedule, progress, initial, solve_one)
+        return solve_with_sliding(problem, prior, optimizer, initial, solve_parts)
+    if not has_drift(problem, prior):
+        return _solution_of(problem, prior, optimizer, backend, progress, initial)
+    elastic = prior if isinstance(prior, ElasticPrior) else ElasticPrior()
+
+    def solve_one(
+        part: Problem, schedule: Optimizer, begin: Initial | None, report: Progress | None
+    ) -> Solution:
+        return _solution_of(part, elastic, schedule, backend, report, begin)
+
+    schedule = optimizer or Multigrid()
+    return solve_with_drift(problem, elastic, schedule, progress, initial, solve_one)
 
 
 def _solution_of(
@@ -346,44 +387,13 @@ def _solution_of(
     prior = given.resolved(whole if isinstance(given, SeilerPrior) else problem)
     optimizer = optimizer or (ICM() if isinstance(prior, SeilerPrior) else Multigrid())
     begin = combine_solutions(initial, problem) if initial else None
-    resolving = time.perf_counter() - begun
-
-    def report(monitor: Monitor) -> None:
-        compute_thread.stage = monitor.message
-        compute_thread.check_cancelled()
-        if progress is not None:
-            progress(monitor)
-
-    report(Monitor("preparing", 0.0))
     started = time.perf_counter()
-    job = SolveJob.of(problem, prior, optimizer)
-
-    def provide() -> None:
-        if progress is None and not are_compiled(job.loops):
-            _announce_compilation()
-        provide_loops(job.loops, report)
-
-    choice = open_backend(job, backend, compute_thread.check_cancelled, provide)
-    device = choice.backend
-    try:
-        _announce(choice)
-        prepare(device, job, optimizer, report)
+    with open_device(problem, prior, optimizer, backend, progress) as (choice, report):
         ready = time.perf_counter()
-        with loop_watch(sets.HARDER, report):
-            outcome = _run(optimizer, problem, prior, device, report, begin)
-        name, renderer = device.name, device.renderer
-    finally:
-        device.close()
-    done = time.perf_counter()
+        outcome = _run(optimizer, problem, prior, choice.backend, report, begin)
+    done, device = time.perf_counter(), choice.backend
     displacement = outcome.displacement
-    finite = host.settle(displacement, problem.tissue, problem.unit)
-    joined.extend(displacement)
-    if not (finite and np.isfinite(outcome.energy).all()):
-        raise BackendError(
-            f"{renderer} returned NaN or infinite values, so the result was discarded. Check the "
-            "size of the observed displacement; if it is reasonable, use the compiled loops "
-            '(`backend="cpu"`).'
-        )
+    settle(displacement, joined, device.renderer, outcome.energy)
     # The solution keeps this array itself, because warm starts recognize it.
     displacement.setflags(write=False)
     grown = 1.0 if outcome.reach is None else outcome.reach.grown
@@ -404,10 +414,10 @@ def _solution_of(
         tissue=whole.tissue,
         spacing=problem.spacing,
         provenance=Provenance(
-            backend=name,
-            renderer=renderer,
+            backend=device.name,
+            renderer=device.renderer,
             reason=choice.reason,
-            seconds=resolving + done - ready,
+            seconds=started - begun + done - ready,
             preparation_seconds=ready - started,
             parameters={
                 "prior": of_prior,
@@ -425,6 +435,86 @@ def _solution_of(
     return solution if initial is None else nearest_to_targets(solution, initial)
 
 
+@contextmanager
+def open_device(
+    problem: Problem, prior: Prior, optimizer: Optimizer, backend: str, progress: Progress | None
+) -> Iterator[tuple[Choice, Report]]:
+    """Open a backend and prepare its kernels, on the compute thread only.
+
+    Parameters
+    ----------
+    problem : Problem
+    prior : Prior
+        Prior, as returned by its method `resolved`.
+    optimizer, backend, progress
+        As for `solve`.
+
+    Yields
+    ------
+    Choice
+        Backend, which is closed at the end.
+    callable
+        Function for progress reports, which raises `Cancelled` once the work must stop.
+    """
+    job = SolveJob.of(problem, prior, optimizer)
+
+    def report(monitor: Monitor) -> None:
+        compute_thread.stage = monitor.message
+        compute_thread.check_cancelled()
+        if progress is not None:
+            progress(monitor)
+
+    def provide() -> None:
+        if progress is None and not are_compiled(job.loops):
+            _announce_compilation()
+        provide_loops(job.loops, report)
+
+    report(Monitor("preparing", 0.0))
+    choice = open_backend(job, backend, compute_thread.check_cancelled, provide)
+    try:
+        _announce(choice)
+        prepare(choice.backend, job, optimizer, report)
+        with loop_watch(sets.HARDER, report):
+            yield choice, report
+    finally:
+        choice.backend.close()
+
+
+def settle(
+    displacement: npt.NDArray[np.floating],
+    joined: Connected,
+    renderer: str,
+    energies: npt.ArrayLike = (),
+) -> None:
+    """Convert the displacement of a solve to units of length, and complete it, in place.
+
+    Parameters
+    ----------
+    displacement : ndarray, shape (H, W, 2) or (D, H, W, 3)
+        Displacement of the solved problem, in pixels.
+    joined : Connected
+        The solved problem.
+    renderer : str
+        Device of the solve.
+    energies : array_like
+        Energies of the solve.
+
+    Raises
+    ------
+    BackendError
+        If a value is not finite.
+    """
+    problem = joined.problem
+    finite = host.settle(displacement, problem.tissue, problem.unit)
+    joined.extend(displacement)
+    if not (finite and np.isfinite(energies).all()):
+        raise BackendError(
+            f"{renderer} returned NaN or infinite values, so the result was discarded. Check the "
+            "size of the observed displacement; if it is reasonable, use the compiled loops "
+            '(`backend="cpu"`).'
+        )
+
+
 def _run(
     optimizer: Optimizer,
     problem: Problem,
@@ -438,16 +528,6 @@ def _run(
         with suppress(ProblemError, ConvergenceError):
             return optimizer.run(problem, prior, device, report, begin)
     return optimizer.run(problem, prior, device, report)
-
-
-class _Either:
-    """Flag that is set if at least one of several flags is set."""
-
-    def __init__(self, *flags: CancelFlag) -> None:
-        self._flags = flags
-
-    def is_set(self) -> bool:
-        return any(flag.is_set() for flag in self._flags)
 
 
 def _announce(choice: Choice) -> None:

@@ -22,7 +22,6 @@ from napari_hmrf import (
 from napari_hmrf.landmarks import Landmarks, StrainScale
 from napari_hmrf.loads import growth
 from napari_hmrf.posterior import study_uncertainty, uncertainty
-from napari_hmrf.posterior.forced import typical_size
 from napari_hmrf.registration import MeasuredMotion
 from validation.oracles.posterior import posterior_covariance
 
@@ -275,8 +274,3 @@ def test_the_solution_of_a_volume_is_that_of_a_solve_on_its_whole_grid():
 def test_a_patch_may_be_larger_than_the_image():
     whole, larger = (uncertainty(held_left(), n=2, patch=each) for each in (200.0, 1e9))
     np.testing.assert_array_equal(larger.sd, whole.sd)
-
-
-def test_the_size_of_a_motion_is_that_of_the_piece_that_moves():
-    piece, rest = np.full((4, 2), 3.0), np.full((6, 2), 1e-9)
-    assert typical_size(np.concatenate([piece, rest])) == pytest.approx(3 * np.sqrt(0.8))
