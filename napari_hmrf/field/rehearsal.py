@@ -19,7 +19,7 @@ from napari_hmrf.solver.live_solver import TOLERANCE
 from napari_hmrf.solver.optimizers import Multigrid
 from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.solver.problem import Problem
-from napari_hmrf.solver.solve import CancelFlag, Progress, run_here
+from napari_hmrf.solver.solve import CancelFlag, Progress, solve
 
 #: Number of sites along each axis of the small problem.
 _SIZE = 24
@@ -66,7 +66,7 @@ def rehearse(
     y[-1] = min(spacing)
     problem = Problem(observed=y, confidence=c, stiffness=np.ones(shape), spacing=spacing)
     small = prior.rehearsal(problem.shape)
-    run_here(problem, small, Multigrid(TOLERANCE), "auto", report, left)
+    solve(problem, small, optimizer=Multigrid(TOLERANCE), progress=report, cancel=left)
     tissue = np.ones(np.shape(pictures[0].image)[:n], dtype=bool)
     # The tissue of a solution is read-only, and numba compiles separate loops for such arrays.
     tissue.setflags(write=False)

@@ -22,7 +22,7 @@ from napari_hmrf.solver.optimizers import Multigrid, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
-from napari_hmrf.solver.solve import CancelFlag, Progress, check_arguments, run_here
+from napari_hmrf.solver.solve import CancelFlag, Progress, check_arguments, solve
 from napari_hmrf.solver.staged_progress import StagedProgress
 from napari_hmrf.solver.warm_start import nearest_to_targets
 
@@ -314,15 +314,15 @@ class LiveSolver:
                 self._deliver_known(turn, known)
                 return
             progress = None if self._progress is None else StagedProgress(self._progress)
-            solve = partial(self._solve, problem, prior, edit.backend, progress, stop=turn)
+            solved = partial(self._solve, problem, prior, edit.backend, progress, stop=turn)
             optimizer = edit.optimizer
             for stage in self._previews(problem, prior, optimizer) if edit.preview else ():
-                preview = solve(stage, is_preview=True)
+                preview = solved(stage, is_preview=True)
                 if preview.reach is not None and not has_stopped(preview):
                     break  # the budget of the preview was sufficient
                 self._deliver_update(turn, problem, preview, final=False)
                 turn.patience = 0
-            solution = solve(optimizer)
+            solution = solved(optimizer)
             best = solution if known is None else nearest_to_targets(solution, known.solution)
             if known is not None and best is not solution:
                 self._deliver_known(turn, known._replace(solution=best))
@@ -368,7 +368,15 @@ class LiveSolver:
             progress.begin(preview=is_preview)
         earlier = self._earlier.solutions if isinstance(optimizer, Multigrid) else ()
         initial = [solution for solution in earlier if not _is_crushed(solution)] or None
-        solution = run_here(problem, prior, optimizer, backend, progress, stop, initial)
+        solution = solve(
+            problem,
+            prior,
+            optimizer=optimizer,
+            backend=backend,
+            progress=progress,
+            cancel=stop,
+            initial=initial,
+        )
         self._earlier.add(problem, solution)
         return solution
 

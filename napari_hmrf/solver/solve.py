@@ -308,37 +308,6 @@ def check_arguments(**given: object) -> None:
             raise ArgumentError(f"{name} is {shown(value)}, of type {kind}. Pass {expected}.")
 
 
-def run_here(
-    problem: Problem,
-    prior: Prior | None,
-    optimizer: Optimizer | None,
-    backend: str,
-    progress: Progress | None,
-    cancel: CancelFlag,
-    initial: Initial | None = None,
-) -> Solution:
-    """Solve on the current thread, which must be the compute thread.
-
-    Parameters
-    ----------
-    problem, prior, optimizer, backend, progress, cancel, initial
-        As for `solve`.
-
-    Returns
-    -------
-    Solution
-
-    Raises
-    ------
-    RuntimeError
-        If the current thread is not the compute thread.
-    """
-    if not compute_thread.is_current():
-        raise RuntimeError("run_here() is for jobs of the compute thread; call solve() instead")
-    with compute_thread.unless(cancel.is_set):
-        return _solve_all(problem, prior, optimizer, backend, progress, initial)
-
-
 def _solve_all(
     problem: Problem,
     prior: Prior | None,

@@ -13,7 +13,6 @@ import pytest
 from napari_hmrf import ICM, BackendError, Cancelled, ElasticPrior, Multigrid, SeilerPrior, solve
 from napari_hmrf.solver.backends import BATCH_SECONDS
 from napari_hmrf.solver.backends.thread import ComputeThread, compute_thread
-from napari_hmrf.solver.solve import run_here
 from tests.support.cancel_flags import AfterLooks
 from tests.support.timeouts import LONG
 from validation.bodies import frame_problem
@@ -155,11 +154,6 @@ def test_an_argument_of_the_wrong_type_is_named_before_any_work(name, wrong, rig
 def test_numpy_scalars_in_parameters_can_be_saved(tmp_path):
     prior = ElasticPrior(np.float32(0.3), penalty=np.float32(2))
     solve(frame_problem((8, 8)), prior, backend="cpu").write(tmp_path / "numbers.npz")
-
-
-def test_kernels_run_on_the_compute_thread_only():
-    with pytest.raises(RuntimeError, match="compute thread"):
-        run_here(frame_problem((5, 5)), None, None, "cpu", None, threading.Event())
 
 
 def test_a_job_on_the_compute_thread_can_call_solve():

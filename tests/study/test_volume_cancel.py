@@ -18,13 +18,13 @@ from napari_hmrf import (
     Problem,
     Study,
     Tissue,
+    solve,
     warp,
 )
 from napari_hmrf.errors import Cancelled
 from napari_hmrf.field import slabs, tetrahedron_raster, volume_loops
 from napari_hmrf.field.deformation import smallest_determinant
 from napari_hmrf.solver.backends.thread import compute_thread
-from napari_hmrf.solver.solve import run_here
 from napari_hmrf.study.engine import Engine
 from napari_hmrf.study.study import Pictures
 from napari_hmrf.ui.jobs import Jobs
@@ -212,8 +212,8 @@ def test_a_cancelled_solve_does_not_affect_the_next_solve():
     def solved(problem, looks=10**6):
         # On the compute thread only the solve itself checks the flag.
         flag = AfterLooks(looks)
-        how = ElasticPrior(), Multigrid(1e-4), "cpu", None, flag
-        found = compute_thread.submit(lambda: run_here(problem, *how)).result()
+        how = {"optimizer": Multigrid(1e-4), "backend": "cpu", "cancel": flag}
+        found = compute_thread.submit(lambda: solve(problem, ElasticPrior(), **how)).result()
         return found.displacement, looks - flag.left
 
     expected, _ = solved(problem)

@@ -700,7 +700,7 @@ def test_an_error_during_the_solve_is_reported_and_changes_no_layer(
     def fail(*_, **__):
         raise MemoryError("no room")
 
-    monkeypatch.setattr("napari_hmrf.solver.live_solver.run_here", fail)
+    monkeypatch.setattr("napari_hmrf.solver.live_solver.solve", fail)
     assert run(widget) is None
     assert "MemoryError: no room" in widget.status
     assert [each.severity for each in notified] == ["error"], (
