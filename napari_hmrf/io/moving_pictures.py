@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import io
 import os
 from collections.abc import Sequence
@@ -14,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.arguments import checked_path, refuse_unless, require_kind
-from napari_hmrf.atomic_write import raise_for_space, temporary_beside, write_whole
-from napari_hmrf.errors import CANNOT_SAVE, FileFormatError, HmrfError, ProblemError
+from napari_hmrf.atomic_write import temporary_beside, write_whole
+from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.extras import how_to_install
 from napari_hmrf.field.animation import Motion
 from napari_hmrf.field.moved_pictures import MovedPictures
@@ -27,8 +26,6 @@ from napari_hmrf.solver.solution import Solution
 MOVING_SUFFIXES = (".gif", ".mp4")
 #: Percentile of the intensities that is mapped to white.
 _WHITE = 99.9
-#: Largest size of a frame in an .mp4 file, in bytes.
-_LARGEST_FRAME = 2**20
 
 
 def write_movie(
@@ -40,6 +37,7 @@ def write_movie(
     per_second: int = 12,
     number: int | None = None,
     axis: int = 0,
+    overlay: FilmOverlay | None = None,
 ) -> Path:
     """Write an animation in which an image is repeatedly deformed and restored.
 
@@ -58,6 +56,8 @@ def write_movie(
         Index of the slice to show along `axis` of a volume; required for volumes.
     axis : int
         Axis of the volume perpendicular to the slice.
+    overlay : FilmOverlay, optional
+        Overlay to draw on the image, with its legend.
 
     Returns
     -------
@@ -74,38 +74,9 @@ def write_movie(
     ProblemError
         If `number` is missing for a volume, or given for a slice.
     HmrfError
-        If the package that writes .mp4 files is not installed.
+        If the package that writes .mp4 files is not installed, or fails.
     OSError
         If the file cannot be written.
-    """
-    return write_film(
-        path, solution, image, frames=frames, per_second=per_second, number=number, axis=axis
-    )
-
-
-def write_film(
-    path: str | os.PathLike[str],
-    solution: Solution,
-    image: npt.ArrayLike,
-    *,
-    frames: int = 24,
-    per_second: int = 12,
-    number: int | None = None,
-    axis: int = 0,
-    overlay: FilmOverlay | None = None,
-) -> Path:
-    """Write an animation of an image, with an overlay and its legend if one is given.
-
-    Parameters
-    ----------
-    path, solution, image, frames, per_second, number, axis
-        As for `write_movie`, which raises the same errors.
-    overlay : FilmOverlay, optional
-
-    Returns
-    -------
-    Path
-        The written file.
     """
     target = Path(checked_path(path))
     require_kind(Solution, "solution", solution, "the result of solve()")
@@ -137,18 +108,13 @@ def write_film(
     if len(spacing) == 3:
         spacing = (*spacing[:axis], *spacing[axis + 1 :])
     forward_frames = _to_bytes(np.stack(pictures))
-    rows, cols = forward_frames.shape[1:3]
-    if overlay is not None:
-        plane = None if number is None else (axis, number)
-        forward_frames, lines = overlay.blend(forward_frames, steps, plane)
-    forward_frames = _square_pixels(forward_frames, spacing)
-    if overlay is not None:
-        forward_frames = overlay.finish(forward_frames, lines, (rows, cols))
-    loop = np.concatenate([forward_frames, forward_frames[-2:0:-1]])
-    if target.suffix.lower() == ".gif":
-        write_whole(target, _encode_gif(loop, per_second))
+    if overlay is None:
+        forward_frames = _square_pixels(forward_frames, spacing)
     else:
-        write_whole(target, _encode_film(target, loop, per_second))
+        plane = None if number is None else (number, axis)
+        forward_frames = overlay.draw(forward_frames, steps, spacing, plane)
+    loop = np.concatenate([forward_frames, forward_frames[-2:0:-1]])
+    write_whole(target, _encode(target, loop, per_second))
     return target
 
 
@@ -205,17 +171,14 @@ def _square_pixels(
     return np.stack([np.asarray(each) for each in stretched])
 
 
-def _encode_gif(pictures: npt.NDArray[np.uint8], per_second: int) -> bytes:
-    from PIL import Image  # heavy: PIL
+def _encode(target: Path, pictures: npt.NDArray[np.uint8], per_second: int) -> bytes:
+    """Return the bytes of a file in the format given by the suffix of the target."""
+    import imageio.v3 as iio  # heavy: imageio
 
-    first, *others = (Image.fromarray(picture) for picture in pictures)
-    file = io.BytesIO()
-    duration = round(1000 / per_second)
-    first.save(file, "GIF", save_all=True, append_images=others, duration=duration, loop=0)
-    return file.getvalue()
-
-
-def _encode_film(target: Path, pictures: npt.NDArray[np.uint8], per_second: int) -> bytes:
+    if target.suffix.lower() == ".gif":
+        buffer, duration = io.BytesIO(), round(1000 / per_second)
+        iio.imwrite(buffer, pictures, extension=".gif", duration=duration, loop=0)
+        return buffer.getvalue()
     try:
         import imageio_ffmpeg  # optional: imageio_ffmpeg
     except ImportError as error:
@@ -225,19 +188,14 @@ def _encode_film(target: Path, pictures: npt.NDArray[np.uint8], per_second: int)
         ) from error
     # The codec only accepts even numbers of rows and columns.
     rows, cols = (2 * (size // 2) for size in pictures.shape[1:3])
-    colours = pictures if pictures.ndim > 3 else np.repeat(pictures[..., None], 3, axis=-1)
     with temporary_beside(target, ".mp4") as file:
+        iio.imwrite(file, pictures[:, :rows, :cols], fps=per_second, quality=8, macro_block_size=2)
         try:
-            writer = imageio_ffmpeg.write_frames(str(file), (cols, rows), fps=per_second, quality=8)
-            writer.send(None)
-            for picture in colours[:, :rows, :cols]:
-                writer.send(np.ascontiguousarray(picture))
-            writer.close()
-            is_whole = imageio_ffmpeg.count_frames_and_secs(str(file))[0] == len(colours)
-        except (OSError, RuntimeError):  # ffmpeg failed for an unknown reason
-            is_whole = False
-        if not is_whole:
-            file.unlink(missing_ok=True)
-            raise_for_space(target, _LARGEST_FRAME * len(colours))
-            raise OSError(errno.EIO, f"{CANNOT_SAVE}{os.strerror(errno.EIO)}", str(target))
+            count, _ = imageio_ffmpeg.count_frames_and_secs(str(file))
+        except RuntimeError:
+            count = 0
+        if count != len(pictures):
+            raise HmrfError(
+                f"{target}: ffmpeg has not written all frames. Check whether the disk is full."
+            )
         return file.read_bytes()

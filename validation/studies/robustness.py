@@ -72,7 +72,6 @@ from napari_hmrf.io.fields import export_field, write_mapping
 from napari_hmrf.io.figures import write_pictures, write_result_pictures, write_volume_pictures
 from napari_hmrf.io.images import ImageFile, write_image
 from napari_hmrf.io.material_tables import write_preset
-from napari_hmrf.io.moving_pictures import write_film
 from napari_hmrf.io.registration_files import RegistrationCase, register_files
 from napari_hmrf.io.tables import write_measurements, write_named_materials
 from napari_hmrf.io.uncertainty_files import write_uncertainty
@@ -242,9 +241,6 @@ def writers() -> dict[str, Write]:
         },
         "io.moving_pictures.write_movie": lambda at: write_movie(
             at / "a.gif", solution(), _pixels(), frames=2
-        ),
-        "io.moving_pictures.write_film": lambda at: write_film(
-            at / "b.gif", solution(), _pixels(), frames=2
         ),
         "io.csv_files.write_csv": lambda at: write_csv(at / "a.csv", ["a", "b"], [[1, "c" * 99]]),
         "io.tables.write_named_materials": lambda at: write_named_materials(at / "a.csv", named),

@@ -19,7 +19,7 @@ from napari_hmrf.field.held_forces import HeldForce
 from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.io.apply import FieldFile, write_field_file
 from napari_hmrf.io.figures import write_result_pictures
-from napari_hmrf.io.moving_pictures import write_film
+from napari_hmrf.io.moving_pictures import write_movie
 from napari_hmrf.io.tables import forces_in_words, measurements_in_words, write_measurements
 from napari_hmrf.layers.field_layer import MOVED, can_move, picture_of, prepare_move, tissue_labels
 from napari_hmrf.layers.film_colours import film_overlay
@@ -211,7 +211,7 @@ class ResultMenu:
             content = f" without '{layer.name}'"
             if options["overlay"] is not None:
                 content = f" with the overlay '{layer.name}'"
-        work = partial(write_film, path, shown.answer.solution, shown.image, **options)
+        work = partial(write_movie, path, shown.answer.solution, shown.image, **options)
         self._show_message("Saving the film ...")
         self._jobs.submit(
             f"{path}", work, lambda file: self._show_message(f"Saved {file.name}{content}.")
