@@ -14,6 +14,8 @@ from napari_hmrf.errors import CANNOT_SAVE
 
 #: Permissions of a temporary file that replaces a file, which may be private.
 _PRIVATE = 0o600
+#: Size of the largest buffer of bytes that a library keeps until it closes a file.
+_BUFFER = 2**20
 
 
 def write_whole(path: str | os.PathLike[str], content: bytes) -> None:
@@ -103,6 +105,29 @@ def raise_for_space(path: str | os.PathLike[str], size: int) -> None:
         piece = bytes(2**20)
         for _ in range(size // len(piece) + 1):
             stream.write(piece)
+        stream.flush()
+        os.fsync(stream.fileno())
+
+
+def raise_if_full(path: str | os.PathLike[str], file: Path) -> None:
+    """Raise the operating system's error if no more bytes fit on the disk of a temporary file.
+
+    Some libraries do not report that the end of a file was not written.
+
+    Parameters
+    ----------
+    path : str or path-like
+        Path of the target file, which is not modified.
+    file : Path
+        Temporary file, which a library has written; bytes are appended.
+
+    Raises
+    ------
+    OSError
+        If the bytes cannot be written; the message names the target file.
+    """
+    with naming_target(path), open(file, "ab") as stream:
+        stream.write(bytes(_BUFFER))
         stream.flush()
         os.fsync(stream.fileno())
 

@@ -5,7 +5,7 @@ was originally at P + u(P), where u is the stored field. The vectors are in mill
 physical axes left, posterior, superior (LPS), not along the axes of the image. ITK's tools assume
 that u is zero outside the grid of the field.
 
-The files are read and written by SimpleITK, which the extra ``medical`` installs.
+The files are read and written by nibabel and SimpleITK, which the extra ``medical`` installs.
 """
 
 from __future__ import annotations
@@ -29,13 +29,12 @@ from napari_hmrf.field.units import SAME_SPACING, UNKNOWN_UNITS, is_length, unit
 from napari_hmrf.field.warp import as_field
 from napari_hmrf.geometry import Geometry, is_orthogonal
 from napari_hmrf.io.itk_files import (
-    ItkImage,
-    Unreadable,
     encode,
     holds_vectors,
     read_itk_vectors,
     require_simpleitk,
 )
+from napari_hmrf.io.itk_image import ItkImage, Unreadable
 from napari_hmrf.solver.problem import as_numbers, grid_in_words
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.study import Grid
@@ -72,8 +71,7 @@ def write_field(
     ----------
     path : str or path-like
         Path with one of the suffixes in `FIELD_SUFFIXES`. An existing file is replaced when the new
-        file is complete. The file contains a digest, which `read_field` uses to detect damage and
-        other tools ignore.
+        file is complete.
     displacement : array_like, shape (H, W, 2) or (D, H, W, 3)
         Material displacement d, in mm: tissue at X moves to X + d(X). The components are along the
         axes of the image, in the same order, as in `Solution.displacement`.

@@ -8,24 +8,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from napari_hmrf.arguments import is_whole, shown
 from napari_hmrf.errors import ArgumentError, ProblemError
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.geometry import Geometry
 from napari_hmrf.io.images import read_image
-from napari_hmrf.io.nifti import fault_of_places
+from napari_hmrf.io.itk_image import Unreadable
+from napari_hmrf.io.nifti import MILLIMETRES, check_places, lps_geometry
 from napari_hmrf.study.study import Grid
 
-#: Transform from right, anterior, superior (nibabel's convention) to left, posterior, superior.
-_TO_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])
 _NO_PLACE = (
     "its header states no place (the codes of its qform and sform are 0), and ITK does not centre "
     "such an image as nibabel does. Set the place: image.set_sform(image.affine, code=1)"
 )
-#: Length of each unit of nibabel, in mm; an unknown unit is assumed to be mm, as in files.
-_MILLIMETRES = {"unknown": 1.0, "mm": 1.0, "meter": 1e3, "micron": 1e-3}
 
 
 def grid_of_image(
@@ -144,31 +140,26 @@ def _of_nibabel(image: Any) -> Geometry:
             f"image has the affine {shown(image.affine)}. Pass an image with a 4 x 4 affine."
         )
     header = image.header
-    if hasattr(header, "get_qform") and hasattr(header, "get_sform"):  # NIfTI
-        codes = int(header["qform_code"]), int(header["sform_code"])
-        fault = _NO_PLACE
-        if any(codes):
-            fault = fault_of_places(header.get_qform(), header.get_sform(), codes, shape)
-        if fault:
-            raise ProblemError("image", f"is ambiguous: {fault}.")
-    steps: npt.NDArray[np.float64] = _TO_LPS @ affine
-    steps[:3] *= _millimetres(image)
-    spacing = np.linalg.norm(steps[:3, :3], axis=0)
-    if not (np.isfinite(steps).all() and (spacing > 0).all()):
-        raise ProblemError(
-            "image", "has a singular affine. Pass an image with an invertible affine."
-        )
-    return Geometry(shape, steps[[2, 1, 0, 3]])
+    try:
+        if hasattr(header, "get_qform") and hasattr(header, "get_sform"):  # NIfTI
+            codes = int(header["qform_code"]), int(header["sform_code"])
+            if not any(codes):
+                raise Unreadable(_NO_PLACE)
+            if all(codes):
+                check_places(header.get_qform(), header.get_sform(), codes[1], shape)
+        return lps_geometry(affine, shape[::-1], _millimetres(image)).reordered((2, 1, 0))
+    except Unreadable as error:
+        raise ProblemError("image", f"cannot be used: {error}.") from None
 
 
 def _millimetres(image: Any) -> float:
     """Return the length in mm of the unit of a nibabel image's affine."""
     # Only the headers of NIfTI images state a unit; other formats of nibabel use millimetres.
     units = getattr(image.header, "get_xyzt_units", lambda: ("mm",))()
-    if units[0] not in _MILLIMETRES:
+    if units[0] not in MILLIMETRES:
         raise ProblemError(
             "image",
             f"has the unit {shown(units[0])} in its header. Set millimetres: "
             'image.header.set_xyzt_units("mm").',
         )
-    return _MILLIMETRES[units[0]]
+    return MILLIMETRES[units[0]]

@@ -1,8 +1,8 @@
 """Reading and writing of image files: pictures, and medical images with their place.
 
 Pictures (.png, .jpg, .bmp) are read with scikit-image and written with Pillow; .tif files are read
-and written with tifffile. NIfTI, MetaImage, NRRD and folders of DICOM files are handled by
-SimpleITK, which the extra ``medical`` installs.
+and written with tifffile. NIfTI, MetaImage, NRRD and folders of DICOM files are handled by nibabel
+and SimpleITK, which the extra ``medical`` installs.
 """
 
 from __future__ import annotations
@@ -23,14 +23,8 @@ from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.field.units import is_length, unit_factor
 from napari_hmrf.geometry import Geometry
-from napari_hmrf.io.itk_files import (
-    ItkImage,
-    Unreadable,
-    encode,
-    itk_shape,
-    read_itk_image,
-    read_itk_series,
-)
+from napari_hmrf.io.itk_files import encode, itk_shape, read_itk_image, read_itk_series
+from napari_hmrf.io.itk_image import ItkImage, Unreadable
 from napari_hmrf.regular_file import refuse_irregular
 
 #: Axes of .tif files that are not axes of space, with their content, and the unit of OME's sizes.

@@ -1,10 +1,8 @@
-"""Parser of NIfTI headers, for what ITK's reader does not handle.
+"""Reader of NIfTI files, with nibabel.
 
-ITK reads a vector field on a single slice of a volume as a 2-D field: it drops the third axis, and
-therefore the thickness and the place of the slice. ANTs and elastix write such files. ITK fills the
-missing part of a truncated file with arbitrary values, and replaces NaN and infinite values by 0.
-It reads every field as displacements, chooses one of two places that a header states, and does not
-say why it cannot read a file.
+ITK's reader is not used: it replaces NaN by 0, fills the missing part of a truncated file with
+arbitrary values, drops the third axis of a field of one slice, reads every field as displacements,
+and chooses one of two places that a header states.
 """
 
 from __future__ import annotations
@@ -14,273 +12,309 @@ import math
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.geometry import Geometry
-
-#: Fields of the header used in this module, with their offsets in bytes.
-_HEADER = np.dtype(
-    {
-        "names": [
-            *("length", "sizes", "parameter", "intent", "pixel", "bits", "zooms", "start"),
-            *("by_rotation", "by_matrix", "turn", "offset", "matrix", "kind", "magic"),
-        ],
-        "formats": [
-            *("i4", ("i2", 8), "f4", "i2", "i2", "i2", ("f4", 8), "f4"),
-            *("i2", "i2", ("f4", 3), ("f4", 3), ("f4", (3, 4)), "S16", "S4"),
-        ],
-        "offsets": [0, 40, 56, 68, 70, 72, 76, 108, 252, 254, 256, 268, 280, 328, 344],
-        "itemsize": 348,
-    }
+from napari_hmrf.io.itk_image import (
+    CUT_SHORT,
+    MOST_PACKED,
+    ItkImage,
+    Unreadable,
+    check_size,
+    missing_package,
 )
-#: Largest position of the values that is no sign of damage, in bytes.
-_FARTHEST = 2**40
-#: Number of bytes decompressed at a time.
+
+Float64Array = npt.NDArray[np.float64]
+
+#: First bytes of compressed content, and errors of decompression and of reading too few bytes.
+_COMPRESSED, _CORRUPT = b"\x1f\x8b", (EOFError, OSError, zlib.error)
+#: Length of the longest header, that of NIfTI-2, in bytes.
+_LONGEST = 540
+#: Number of bytes that are decompressed at a time to reach the checksum.
 _PIECE = 2**20
-#: First bytes of compressed content, and length of the header of NIfTI-2.
-_COMPRESSED, _SECOND_VERSION = b"\x1f\x8b", 540
+#: Length of each unit, in mm; an unknown unit is assumed to be mm.
+MILLIMETRES = {"unknown": 1.0, "mm": 1.0, "meter": 1e3, "micron": 1e-3}
 #: Largest distance between two places of a pixel that are considered equal, in pixels.
 _OFF = 0.1
+#: Smallest singular value of the directions of axes that span space.
+_FLAT = 1e-6
 #: Code of an affine to the coordinates of the scanner.
 _SCANNER = 1
-#: NumPy's types of real pixels, by the codes of NIfTI.
-_REAL = {16: "f4", 64: "f8"}
+#: Code of displacements along right, anterior, superior, and codes of images of vectors.
+_DISPLACEMENTS = 1006
+_VECTORS = (_DISPLACEMENTS, 1007)
 #: Factors that convert right, anterior, superior (NIfTI) to left, posterior, superior (ITK).
 _TO_LPS = np.array([-1.0, -1.0, 1.0])
 
 
-def geometry_in_nifti(path: Path) -> Geometry | None:
-    """Read the grid of a NIfTI-1 file; return None if there is no valid NIfTI-1 header."""
-    header = _header(path)
-    if header is None:
-        return None
-    steps = _steps_by_matrix(header) if header["by_matrix"] else _steps_by_rotation(header)
-    spacing = np.linalg.norm(steps[:, :3], axis=0)
-    if not (np.isfinite(steps).all() and (spacing > 0).all()):
-        return None
-    affine = np.eye(4)
-    affine[:3] = (_TO_LPS[:, None] * steps)[::-1, [2, 1, 0, 3]]
-    return Geometry(_shape(header)[::-1], affine)
+class NiftiHeader(NamedTuple):
+    """Content of a NIfTI header that describes the values and their place.
 
-
-def _steps_by_matrix(header: Any) -> npt.NDArray[np.float64]:
-    """Return the affine of the sform, shape (3, 4)."""
-    return np.asarray(header["matrix"], np.float64)
-
-
-def _steps_by_rotation(header: Any) -> npt.NDArray[np.float64]:
-    """Return the affine of the qform, shape (3, 4), or of the zooms alone if there is no qform."""
-    zooms = header["zooms"].astype(float)
-    turn = np.eye(3) if not header["by_rotation"] else _rotation(header["turn"].astype(float))
-    turn[:, 2] *= -1 if zooms[0] < 0 else 1
-    offset = header["offset"].astype(float) * bool(header["by_rotation"])
-    return np.column_stack([turn * zooms[1:4], offset])
-
-
-def fault_in_nifti(path: Path) -> str:
-    """Return why a NIfTI file cannot be read rightly, with a remedy, or "" if nothing is known."""
-    header_file = path.with_suffix(".hdr") if path.suffix.lower() == ".img" else path
-    is_compressed = _is_compressed(header_file)
-    if is_compressed and not path.name.lower().endswith(".gz"):
-        return f"its content is compressed. Rename it to {path.name}.gz"
-    start = _start(header_file)
-    if int.from_bytes(start[:4], "little") == _SECOND_VERSION or (
-        int.from_bytes(start[:4], "big") == _SECOND_VERSION
-    ):
-        return (
-            "it is a NIfTI-2 file. Save it as NIfTI-1, for example with nibabel.Nifti1Image(data, "
-            "affine)"
-        )
-    header = _header(header_file)
-    if header is None or header["magic"] not in (b"n+1", b"ni1"):
-        return ""
-    return fault_of_places(
-        _steps_by_rotation(header),
-        _steps_by_matrix(header),
-        (int(header["by_rotation"]), int(header["by_matrix"])),
-        _shape(header),
-    )
-
-
-def _shape(header: Any) -> tuple[int, ...]:
-    """Return the number of voxels along x, y and z."""
-    return tuple(header["sizes"][1:4].astype(int).clip(min=1).tolist())
-
-
-def fault_of_places(
-    qform: npt.NDArray[np.float64],
-    sform: npt.NDArray[np.float64],
-    codes: tuple[int, int],
-    shape: Sequence[int],
-) -> str:
-    """Return why the two affines of a header do not give the place of an image, or "".
-
-    Parameters
+    Attributes
     ----------
-    qform, sform : ndarray, shape (3 or 4, 4)
-        Affines from voxels to positions.
-    codes : (int, int)
-        Codes of qform and sform; 0 if the header does not state the affine. If both are stated,
-        nibabel uses sform, and ITK uses it only if its code is 1 (scanner).
-    shape : sequence of int
-        Number of voxels along each axis.
-
-    Returns
-    -------
-    str
-        Clause with a remedy.
+    stored : nibabel.Nifti1Header
+    kind : numpy.dtype
+        Type of the stored values.
+    start : int
+        Position of the first value in its file, in bytes.
+    scaling : (float, float) or (None, None)
+        Slope and intercept, if values are scaled.
+    shape : tuple of int
+        Number of pixels along each spatial axis, ([D,] H, W).
+    components : int
+        Number of values per pixel.
+    geometry : Geometry
     """
-    if not codes[1]:
-        return ""
-    affines = (np.vstack([each[:3], [0.0, 0.0, 0.0, 1.0]]) for each in (qform, sform))
-    first, second = (Geometry(tuple(shape), affine) for affine in affines)
-    if not (np.isfinite(second.affine).all() and min(second.spacing) > 0):
-        return ""
+
+    stored: Any
+    kind: np.dtype[Any]
+    start: int
+    scaling: tuple[Any, Any]
+    shape: tuple[int, ...]
+    components: int
+    geometry: Geometry
+
+    @property
+    def is_field(self) -> bool:
+        """True if the values may be displacements."""
+        return self.components == len(self.shape) and self.kind.kind == "f"
+
+
+def is_nifti(path: Path) -> bool:
+    """Return whether a file is a NIfTI file; its header may be an .hdr file beside an .img file."""
+    if not _is_pair(path):
+        return path.name.lower().endswith((".nii", ".nii.gz"))
     try:
-        second.right_angled()
-    except ValueError as error:
-        return str(error)
-    if codes[0] and codes[1] != _SCANNER:
-        apart = first.farthest_from(second) / min(second.spacing)
-        if apart > _OFF:
-            return (
-                f"its header states two places, qform and sform, which are up to {apart:.3g} pixels"
-                " apart, and programs differ in which they use. Copy the right one to the other, "
-                "for example with nibabel: image.set_qform(image.get_sform(), code=1), or "
-                "image.set_sform(image.get_qform(), code=1)"
-            )
-    return ""
+        with _opened(_part(path, ".hdr")) as stream:
+            start = stream.read(_LONGEST)
+    except _CORRUPT:
+        return False
+    return bool(start[344:347] == b"ni1" or start[4:7] == b"ni2")
 
 
-def holds_positions(path: Path) -> bool | None:
-    """Return the kind of a NIfTI vector field of another program.
-
-    Returns
-    -------
-    bool or None
-        True if the vectors are positions along right, anterior, superior in mm, as SPM and
-        NiftyReg write; False if they are displacements along these directions, as NiftyReg also
-        writes; None if ITK reads the field rightly.
+def read_nifti_header(path: Path) -> NiftiHeader:
+    """Read the header of a NIfTI file.
 
     Raises
     ------
-    ValueError
-        If the field is neither; the message is the reason, as a clause.
+    Unreadable
+        If the header is damaged, or describes an image of complex numbers or at two places.
+    HmrfError
+        If nibabel is not installed.
+    OSError
+        If the file cannot be opened.
     """
-    header = _header(path)
-    if header is None:
-        return None
-    name = header["kind"].decode("ascii", "replace").strip()
-    if name == "Mapping":
-        return True
-    if name != "NREG_TRANS":
-        return None
-    if header["parameter"] not in (0, 1):
-        raise ValueError(
-            "it is a velocity or spline transform of NiftyReg. Convert it to a deformation field, "
-            "with reg_transform -def"
+    try:
+        import nibabel  # optional: nibabel
+    except ImportError:
+        raise missing_package("nibabel") from None
+    one, two = nibabel.nifti1, nibabel.nifti2
+    kinds: dict[int, Any] = (
+        {348: one.Nifti1PairHeader, 540: two.Nifti2PairHeader}
+        if _is_pair(path)
+        else {348: one.Nifti1Header, 540: two.Nifti2Header}
+    )
+    try:
+        with _opened(_part(path, ".hdr")) as stream:
+            start = stream.read(_LONGEST)
+    except _CORRUPT:
+        raise Unreadable(CUT_SHORT) from None
+    stated = {int.from_bytes(start[:4], order) for order in ("little", "big")}
+    length = next((each for each in kinds if each in stated), 0)
+    if not length:
+        raise Unreadable("")
+    if len(start) < length:
+        raise Unreadable(CUT_SHORT)
+    try:
+        header = kinds[length](start[:length])
+        kind, first = header.get_data_dtype(), header.get_data_offset()
+        shape = tuple(max(size, 1) for size in header.get_data_shape())
+        scaling = header.get_slope_inter()
+        affines = header.get_qform(coded=True), header.get_sform(coded=True)
+        millimetres = MILLIMETRES[header.get_xyzt_units()[0]]
+    except (ValueError, OverflowError, KeyError, nibabel.spatialimages.HeaderDataError):
+        raise Unreadable("its header is damaged") from None
+    if kind.kind not in "iufV" or kind.itemsize > 8 or len(shape) < 2:
+        raise Unreadable(
+            f"it has {len(shape)} axes and {kind} values. Give an image of real numbers"
         )
-    return bool(header["parameter"] == 0)
+    components = len(kind.names or "1")
+    if int(header["intent_code"]) in _VECTORS and len(shape) == 5:
+        components, shape = shape[4], shape[:4]
+    while len(shape) > 3 and shape[-1] == 1:
+        shape = shape[:-1]
+    if components == 2 and shape[2:] == (1,):
+        shape = shape[:2]
+    geometry = _geometry(affines, header["pixdim"][1:4], shape[::-1], millimetres)
+    return NiftiHeader(header, kind, first, scaling, shape[::-1], components, geometry)
 
 
-def not_finite(path: Path) -> npt.NDArray[np.floating] | None:
-    """Return the stored values of an image of real numbers, in the order of the file.
+def read_nifti(path: Path) -> ItkImage:
+    """Read a NIfTI image; vectors are converted to displacements along left, posterior, superior.
 
-    Returns
-    -------
-    ndarray or None
-        None if all values are finite, or the file is not a NIfTI-1 file of real numbers.
+    Raises
+    ------
+    Unreadable
+        If the file is damaged or truncated; as for `read_nifti_header`; or if the vectors are
+        neither displacements nor positions.
+    HmrfError, OSError
+        As for `read_nifti_header`.
     """
-    header = _header(path)
-    code = None if header is None else _REAL.get(int(header["pixel"]))
-    if header is None or code is None or not _starts_in_file(header):
-        return None
-    order = ">" if header.dtype["length"].byteorder == ">" else "<"
-    kind, start = np.dtype(order + code), int(header["start"])
-    count = _count(header)
-    opened: Any = gzip.open if _is_compressed(path) else open
-    with opened(path, "rb") as file:
-        file.seek(start)
-        values = np.frombuffer(file.read(count * kind.itemsize), kind)
-    return None if len(values) < count or np.isfinite(values).all() else values
+    header = read_nifti_header(path)
+    values = _values(header, _part(path, ".img"))
+    if header.is_field:
+        values = _as_displacements(header, values)
+    text = bytes(header.stored["descrip"]).decode("latin-1").strip("\0 ")
+    return ItkImage(values, header.components, header.geometry, {"descrip": text})
 
 
-def is_cut_short(path: Path) -> bool:
-    """Return whether a NIfTI-1 file is truncated or its compressed content is damaged."""
-    header = _header(path)
-    if header is None:
-        return False
-    if not _starts_in_file(header):
-        return True
-    needed = int(header["start"]) + _count(header) * int(header["bits"]) // 8
-    if not _is_compressed(path):
-        return bool(path.stat().st_size < needed)
-    count_read = 0
+def _is_pair(path: Path) -> bool:
+    return path.suffix.lower() in (".hdr", ".img")
+
+
+def _part(path: Path, suffix: str) -> Path:
+    """Return the file of the header or of the values, if these are two files."""
+    if not _is_pair(path):
+        return path
+    return path.with_suffix(suffix.upper() if path.suffix.isupper() else suffix)
+
+
+def _opened(path: Path) -> Any:
+    """Open a file for reading, decompressed if its content is compressed, whatever its name."""
+    with open(path, "rb") as file:
+        is_compressed = file.read(len(_COMPRESSED)) == _COMPRESSED
+    return gzip.open(path) if is_compressed else open(path, "rb")
+
+
+def _values(header: NiftiHeader, path: Path) -> npt.NDArray[Any]:
+    """Read the values, shape ([D,] H, W[, components]), with the slope and intercept applied."""
+    from nibabel.volumeutils import array_from_file  # optional: nibabel
+
+    kind, shape, components = header.kind, header.shape, header.components
+    count = math.prod(shape) * components // len(kind.names or "1")
     try:
-        with gzip.open(path, "rb") as file:
-            while piece := file.read(_PIECE):
-                count_read += len(piece)
-    except (OSError, EOFError, zlib.error):
-        return True
-    return bool(count_read < needed)
+        with _opened(path) as stream:
+            ratio = MOST_PACKED if isinstance(stream, gzip.GzipFile) else 1
+            check_size(header.start + count * kind.itemsize, path, ratio)
+            values = array_from_file((count,), kind, stream, header.start, mmap=False)
+            while stream.read(_PIECE):  # gzip compares its checksum at the end
+                pass
+    except _CORRUPT:
+        raise Unreadable(CUT_SHORT) from None
+    if kind.names:
+        return values.view(np.uint8).reshape(*shape, components)
+    values = values.astype(kind.newbyteorder("="), copy=False)
+    slope, intercept = header.scaling
+    if slope is not None and (slope, intercept) != (1, 0):
+        scaled = np.float64 if kind == np.float64 else np.float32
+        values = (values * slope + intercept).astype(scaled)
+    if components == 1:
+        return values.reshape(shape)
+    return np.moveaxis(values.reshape(components, *shape), 0, -1)
 
 
-def _count(header: Any) -> int:
-    """Return the number of values of a file."""
-    sizes = header["sizes"].astype(int)
-    return math.prod(sizes[1 : 1 + sizes[0]].clip(min=1).tolist())
-
-
-def _is_compressed(path: Path) -> bool:
-    try:
-        with open(path, "rb") as file:
-            return file.read(len(_COMPRESSED)) == _COMPRESSED
-    except OSError:
-        return False
-
-
-def _start(path: Path) -> bytes:
-    """Return the first bytes of a file, decompressed; b"" if it cannot be read."""
-    opened: Any = gzip.open if _is_compressed(path) else open
-    try:
-        with opened(path, "rb") as file:
-            start: bytes = file.read(_HEADER.itemsize)
-    except (OSError, EOFError, zlib.error):
-        return b""
-    return start
-
-
-def _header(path: Path) -> Any:
-    """Return the NIfTI-1 header of a file, in either byte order, or None for other files."""
-    start = _start(path)
-    if len(start) < _HEADER.itemsize:
-        return None
-    for kind in (_HEADER.newbyteorder("<"), _HEADER.newbyteorder(">")):
-        header = np.frombuffer(start, kind)[0]
-        if header["length"] == _HEADER.itemsize:
-            return header
-    return None
-
-
-def _starts_in_file(header: Any) -> bool:
-    """Return whether the values start at a position that a file may have; the number may be NaN."""
-    return bool(0 <= header["start"] < _FARTHEST)
-
-
-def _rotation(vector: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Return the rotation matrix of a unit quaternion with a non-negative real part.
+def _geometry(
+    affines: Sequence[tuple[Float64Array | None, int]],
+    zooms: npt.NDArray[np.float32],
+    shape: tuple[int, ...],
+    millimetres: float,
+) -> Geometry:
+    """Return the grid of an image in patient coordinates.
 
     Parameters
     ----------
-    vector : ndarray, shape (3,)
-        Imaginary part of the quaternion.
+    affines : sequence
+        qform and sform, each with its code; None if the code is 0.
+    zooms : ndarray, shape (3,)
+        Size of a voxel along x, y and z.
+    shape : tuple of int
+    millimetres : float
+        Unit of length, in mm.
     """
-    real = math.sqrt(max(0.0, 1.0 - float(vector @ vector)))
-    cross = np.cross(np.eye(3), vector)
-    turn: npt.NDArray[np.float64] = (
-        (2 * real**2 - 1) * np.eye(3) + 2 * np.outer(vector, vector) + 2 * real * cross
-    )
-    return turn
+    (qform, _), (sform, code) = affines
+    if qform is not None and sform is not None:
+        check_places(qform, sform, code, (*shape[::-1], 1)[:3])
+    affine = qform if sform is None else sform
+    if affine is None:  # as in ITK: at the origin, along left, posterior, superior
+        affine = np.diag([*_TO_LPS * zooms, 1.0])
+    return lps_geometry(affine, shape, millimetres)
+
+
+def lps_geometry(affine: Float64Array, shape: Sequence[int], millimetres: float) -> Geometry:
+    """Return the grid of an array ([z,] y, x).
+
+    Parameters
+    ----------
+    affine : ndarray, shape (4, 4)
+        Affine from voxels (x, y, z) to positions along right, anterior, superior.
+    shape : sequence of int
+    millimetres : float
+        Unit of length of the affine, in mm.
+
+    Raises
+    ------
+    Unreadable
+        If the affine is singular.
+    """
+    steps = millimetres * _TO_LPS[:, None] * affine[:3] + 0.0  # no -0.0
+    sizes = np.linalg.norm(steps[:, :3], axis=0)
+    if not (np.isfinite(steps).all() and (sizes > 0).all()):
+        raise Unreadable("its affine is singular. Set an affine that can be inverted")
+    if np.linalg.svd(steps[:, :3] / sizes, compute_uv=False)[-1] < _FLAT:
+        raise Unreadable("its affine is singular, because its axes lie in one plane")
+    # The axes of an array are z, y, x; an image has other axes before them, or has no z.
+    n, count = len(shape), min(len(shape), 3)
+    placed = np.eye(n + 1)
+    placed[-1 - count :, -1 - count :] = np.eye(count + 1)
+    placed[-1 - count : -1, -1 - count :] = steps[::-1, [2, 1, 0, 3]][-count:, -1 - count :]
+    return Geometry(tuple(shape), placed)
+
+
+def check_places(qform: Float64Array, sform: Float64Array, code: int, shape: Sequence[int]) -> None:
+    """Raise an error if the qform and the sform of a header place an image differently.
+
+    Parameters
+    ----------
+    qform, sform : ndarray, shape (4, 4)
+        Affines from voxels to positions, both stated by the header.
+    code : int
+        Code of the sform. nibabel uses the sform, and ITK uses it only if its code is 1 (scanner).
+    shape : sequence of int
+        Number of voxels along x, y and z.
+
+    Raises
+    ------
+    Unreadable
+        If the places differ, or the sform is singular.
+    """
+    first, second = (lps_geometry(each, shape[::-1], 1.0) for each in (qform, sform))
+    apart = first.farthest_from(second) / min(second.spacing)
+    if code != _SCANNER and apart > _OFF:
+        raise Unreadable(
+            f"its header states two places, qform and sform, which are up to {apart:.3g} pixels "
+            "apart, and programs differ in which they use. Copy the right one to the other, for "
+            "example with nibabel: image.set_qform(image.get_sform(), code=1), or "
+            "image.set_sform(image.get_qform(), code=1)"
+        )
+
+
+def _as_displacements(header: NiftiHeader, vectors: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Convert positions, and displacements along right, anterior, superior, to those in LPS."""
+    stored, name = header.stored, header.stored["intent_name"].item().strip()
+    parameter = float(stored["intent_p1"])
+    is_spm, is_niftyreg = name == b"Mapping", name == b"NREG_TRANS"
+    if is_niftyreg and parameter not in (0, 1):
+        raise Unreadable(
+            "it is a velocity or spline transform of NiftyReg. Convert it to a deformation field, "
+            "with reg_transform -def"
+        )
+    if not (is_spm or is_niftyreg or stored["intent_code"] == _DISPLACEMENTS):
+        return vectors
+    vectors = vectors * _TO_LPS[: len(header.shape)]
+    if is_spm or (is_niftyreg and parameter == 0):
+        indices = np.moveaxis(np.indices(header.shape), 0, -1)
+        vectors -= header.geometry.to_world(indices)[..., ::-1]
+    return vectors

@@ -8,7 +8,6 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import napari
 import numpy as np
@@ -26,9 +25,9 @@ from napari_hmrf.io import case
 from napari_hmrf.io.apply import FieldFile, _note_on_labels, apply_field
 from napari_hmrf.io.case import as_labels, read_case
 from napari_hmrf.io.case_options import Case
-from napari_hmrf.io.images import is_scan, read_image, stem_of, write_image
-from napari_hmrf.io.itk_decoder import Refused, check_regular
-from napari_hmrf.io.nifti import _HEADER
+from napari_hmrf.io.dicom_slices import check_regular
+from napari_hmrf.io.images import is_scan, read_image, write_image
+from napari_hmrf.io.itk_image import Unreadable
 from napari_hmrf.io.registration_files import relative_place
 from napari_hmrf.io.segmentation_tables import read_label_names
 from napari_hmrf.landmarks import read_points
@@ -38,6 +37,7 @@ from napari_hmrf.solver.solution import Provenance, Solution
 from tests.support.stored_scans import SHAPE, STORED, write_scan
 
 sitk = pytest.importorskip("SimpleITK")
+nibabel = pytest.importorskip("nibabel")
 
 AXIAL, SAGITTAL = (1, 0, 0, 0, 1, 0), (0, 1, 0, 0, 0, -1)
 
@@ -134,36 +134,30 @@ def test_frames_that_are_not_in_the_order_of_their_positions_are_refused(tmp_pat
 def test_the_distances_of_slices_may_be_rounded():
     normal, names = (0, 0, 1), [f"s{n}" for n in range(6)]
     check_regular(along_z(0, 0.6, 1.3, 1.9, 2.5, 3.1), normal, (1, 1), names)
-    with pytest.raises(Refused, match="s3 and s4"):
+    with pytest.raises(Unreadable, match="s3 and s4"):
         check_regular(along_z(0, 0.6, 1.2, 1.8, 3.1, 3.7), normal, (1, 1), names)
 
 
-def nifti(path, sform=None, codes=(1, 1), pixels=None, **fields):
-    """Write a NIfTI-1 file with a header of our own; the qform is that of the zooms 1, 1, 2."""
+def nifti(path, sform=None, codes=(1, 1), pixels=None, kind=nibabel.Nifti1Image, **fields):
+    """Write a NIfTI file; the qform is that of the zooms 1, 1, 2."""
     pixels = np.ones(SHAPE, np.float32) if pixels is None else pixels
-    header = np.zeros((), _HEADER)
     vectors = pixels.ndim == 4
-    sizes = (*SHAPE[::-1], 1, 3) if vectors else SHAPE[::-1]
-    header["length"], header["start"], header["magic"] = 348, 352, b"n+1"
-    header["sizes"][: 1 + len(sizes)] = (len(sizes), *sizes)
-    header["sizes"][1 + len(sizes) :] = 1
-    header["pixel"], header["bits"] = {4: 16, 8: 64}[pixels.itemsize], 8 * pixels.itemsize
-    header["intent"] = 1007 if vectors else 0
-    header["zooms"] = (1, 1, 1, 2, 1, 1, 1, 1)
-    header["by_rotation"], header["by_matrix"] = codes
-    header["matrix"] = np.diag([1.0, 1, 2, 1])[:3] if sform is None else sform
+    stored = np.moveaxis(pixels[None], -1, 0).T if vectors else pixels.T
+    image = kind(stored, None)
+    image.header.set_qform(np.diag([1.0, 1, 2, 1]), codes[0])
+    image.header.set_sform(np.diag([1.0, 1, 2, 1]) if sform is None else sform, codes[1])
+    image.header.set_xyzt_units("mm")
+    image.header["intent_code"] = 1007 if vectors else 0
     for name, value in fields.items():
-        header[name] = value
-    order = np.moveaxis(pixels, -1, 0) if vectors else pixels
-    raw = bytearray(header.tobytes() + bytes(4) + order.tobytes())
-    raw[123] = 2  # millimetres
-    path.write_bytes(gzip.compress(bytes(raw)) if path.suffix == ".gz" else bytes(raw))
+        image.header[name] = value
+    raw = image.to_bytes()
+    path.write_bytes(gzip.compress(raw) if path.suffix == ".gz" else raw)
     return path
 
 
-SHIFTED = np.array([[1.0, 0, 0, 3], [0, 1, 0, 0], [0, 0, 2, 0]])
-SHEARED = np.array([[1.0, 0, 0, 0], [0, 1, 0.5, 0], [0, 0, 2, 0]])
-ROUNDED = np.array([[1.0, 0, 0, 3], [0, 1, 0.005, 0], [0, 0, 2, 0]])
+SHIFTED = np.array([[1.0, 0, 0, 3], [0, 1, 0, 0], [0, 0, 2, 0], [0, 0, 0, 1]])
+SHEARED = np.array([[1.0, 0, 0, 0], [0, 1, 0.5, 0], [0, 0, 2, 0], [0, 0, 0, 1]])
+ROUNDED = np.array([[1.0, 0, 0, 3], [0, 1, 0.005, 0], [0, 0, 2, 0], [0, 0, 0, 1]])
 PLACES = {
     "one place": (None, (1, 2), True),
     "two places": (SHIFTED, (1, 2), False),
@@ -175,28 +169,10 @@ PLACES = {
 }
 
 
-def as_nibabel(sform, codes):
-    """Return an image with the attributes of nibabel that are read."""
-    qform, placed = np.diag([1.0, 1, 2, 1]), np.vstack([sform, [0, 0, 0, 1]])
-
-    class Header(dict):
-        def get_xyzt_units(self):
-            return "mm", "sec"
-
-        def get_qform(self):
-            return qform
-
-        def get_sform(self):
-            return placed
-
-    header = Header(qform_code=codes[0], sform_code=codes[1])
-    return SimpleNamespace(affine=placed, dataobj=np.zeros(SHAPE[::-1]), header=header)
-
-
 @pytest.mark.parametrize(("sform", "codes", "is_clear"), PLACES.values(), ids=PLACES)
 def test_a_header_that_states_two_places_or_a_shear_is_refused(tmp_path, sform, codes, is_clear):
-    sform = np.diag([1.0, 1, 2, 1])[:3] if sform is None else sform
-    path, image = nifti(tmp_path / "a.nii.gz", sform, codes), as_nibabel(sform, codes)
+    path = nifti(tmp_path / "a.nii.gz", sform, codes)
+    image = nibabel.load(path)
     if is_clear:
         matrix = np.array(Grid.from_image(path).place.matrix)
         at = np.array(Grid.from_image(image).place.matrix) @ [1, 2, 3, 1]
@@ -235,24 +211,29 @@ def test_a_file_without_a_spacing_is_refused(tmp_path, suffix):
                 read(str(path))
 
 
-def test_a_pair_of_header_and_pixels_is_read_by_either_name(tmp_path):
-    sitk.WriteImage(sitk.Image([6, 5, 4], sitk.sitkInt16), str(tmp_path / "a.hdr"))
-    for name in ("a.hdr", "a.img"):
-        (layer,) = open_scan(str(tmp_path / name))(str(tmp_path / name))
-        assert layer[0].shape == Grid.from_image(tmp_path / name).shape == (4, 5, 6)
-        assert stem_of(name) == "a"
-
-
-def test_files_that_itk_does_not_read_are_refused_with_their_reason(tmp_path):
-    (tmp_path / "b.nii").write_bytes(nifti(tmp_path / "a.nii.gz").read_bytes())
-    with pytest.raises(FileFormatError, match="compressed"):
-        read_image(tmp_path / "b.nii")
-    (tmp_path / "c.nii").write_bytes((540).to_bytes(4, "little") + bytes(600))
-    with pytest.raises(FileFormatError, match="NIfTI-2"):
-        read_image(tmp_path / "c.nii")
+def test_a_volume_of_freesurfer_is_refused_with_the_command_that_converts_it(tmp_path):
     (tmp_path / "brain.mgz").write_bytes(b"\x1f\x8b")
     with pytest.raises(FileFormatError, match=r"mri_convert brain\.mgz brain\.nii\.gz"):
         read_image(tmp_path / "brain.mgz")
+
+
+def test_the_content_of_a_nifti_file_counts_not_its_name(tmp_path):
+    pixels = np.arange(np.prod(SHAPE), dtype=np.float32).reshape(SHAPE)
+    packed, plain, second = tmp_path / "a.nii", tmp_path / "b.nii.gz", tmp_path / "c.nii"
+    plain.write_bytes(nifti(packed, pixels=pixels).read_bytes())
+    packed.write_bytes(gzip.compress(packed.read_bytes()))
+    nifti(second, pixels=pixels, kind=nibabel.Nifti2Image)
+    nibabel.save(nibabel.Nifti1Pair(pixels.T, np.eye(4)), tmp_path / "d.hdr")
+    for path in (packed, plain, second, tmp_path / "d.hdr", tmp_path / "d.img"):
+        np.testing.assert_array_equal(read_image(path).pixels, pixels)
+
+
+@pytest.mark.parametrize("suffix", [".nii", ".nii.gz"])
+def test_the_slope_of_a_nifti_file_counts(tmp_path, suffix):
+    image = nibabel.Nifti1Image(np.full((3, 4, 5), 7, np.int16), np.eye(4))
+    image.header.set_slope_inter(0.5, -2)
+    nibabel.save(image, tmp_path / f"a{suffix}")
+    np.testing.assert_array_equal(read_image(tmp_path / f"a{suffix}").pixels, 1.5)
 
 
 @pytest.mark.parametrize("dtype", ["f4", "f8"])
@@ -265,21 +246,23 @@ def test_nan_and_infinite_voxels_stay_so(tmp_path, dtype):
         np.testing.assert_array_equal(image.pixels, pixels)
 
 
-def test_fields_of_spm_and_niftyreg_are_read_as_displacements(tmp_path):
+def test_fields_of_other_programs_in_nifti_are_read_as_displacements(tmp_path):
     """Their vectors are positions or displacements along right, anterior, superior."""
     u = np.random.default_rng(0).normal(size=(*SHAPE, 3)).astype(np.float32)
     lps = (-1, -1, 1)
     index = np.moveaxis(np.indices(SHAPE), 0, -1)[..., ::-1] * (1, 1, 2)
     itk = read_field(nifti(tmp_path / "itk.nii", pixels=(u * lps).astype(np.float32)))
     positions = (index + u).astype(np.float32)
-    for name, parameter, vectors in (
-        (b"NREG_TRANS", 0, positions),
-        (b"NREG_TRANS", 1, u),
-        (b"Mapping", 0, positions),
+    for name, parameter, code, vectors in (
+        (b"NREG_TRANS", 0, 1007, positions),
+        (b"NREG_TRANS", 1, 1007, u),
+        (b"Mapping", 0, 1007, positions),
+        (b"", 0, 1006, u),
     ):
-        path = nifti(tmp_path / "other.nii", pixels=vectors, kind=name, parameter=parameter)
+        fields = {"intent_name": name, "intent_p1": parameter, "intent_code": code}
+        path = nifti(tmp_path / "other.nii", pixels=vectors, **fields)
         np.testing.assert_allclose(read_field(path).vectors, itk.vectors, atol=1e-5)
-    for fields in ({"kind": b"NREG_TRANS", "parameter": 2}, {"matrix": SHEARED, "by_rotation": 0}):
+    for fields in ({"intent_name": b"NREG_TRANS", "intent_p1": 2}, {"sform": SHEARED}):
         with pytest.raises(FileFormatError, match=r"other\.nii"):
             read_field(nifti(tmp_path / "other.nii", pixels=u, **fields))
     u[0, 0, 0, 0] = np.nan

@@ -12,10 +12,14 @@ from validation.studies import robustness
 pytest.importorskip("SimpleITK")
 
 PACKAGE = Path(napari_hmrf.__file__).parent
-#: Writers of each kind: an archive, an image encoded by SimpleITK, and several files at once.
-WRITERS = ("io.study_file.write_study", "io.fields.write_field .mha", "io.case.solve_case")
+#: Writers of each kind: an archive, images that SimpleITK writes, and several files at once.
+WRITERS = (
+    "io.study_file.write_study",
+    *(f"io.fields.write_field {suffix}" for suffix in (".nii.gz", ".mha", ".nrrd", ".h5")),
+    "io.case.solve_case",
+)
 #: Modules that may write to a disk directly; all others use `write_whole`.
-_BY_THEMSELVES = ("atomic_write.py", "io/itk_decoder.py", "solver/backends/", "compiling.py")
+_BY_THEMSELVES = ("atomic_write.py", "io/itk_reader.py", "solver/backends/", "compiling.py")
 _WAYS = (
     *("write_text", "write_bytes", "savez", "savez_compressed", "tofile", "savefig", "imsave"),
     *("imwrite", "WriteImage", "WriteTransform"),

@@ -611,7 +611,6 @@ def _killed_fields(kills: Kills, path: Path) -> Iterator[tuple[str, str]]:
     for seed, name in enumerate(("first", "second")):
         save(seed)
         known[name] = read(path)
-    # A child starts its own decoder, so it runs more steps than would be counted here.
     for step in itertools.count(1, kills.every):
         save(0)
         came = killed_at(step, partial(save, 1))

@@ -224,7 +224,10 @@ def test_tissue_follows_the_drawing():
         (lambda: Stroke("pin", (), 1), "lines must be the paths of a brush"),
         (lambda: Stroke("pin", ((),), 1), "lines must be the paths of a brush"),
         (lambda: Stroke("pin", (((0, 0),),), 1).onward((0,)), "point must be finite numbers"),
-        (lambda: Arrow((0, 0), (1, 1), 2, motion=(1, 1)), "motion: input should be .* an instance of patchmotion"),
+        (
+            lambda: Arrow((0, 0), (1, 1), 2, motion=(1, 1)),
+            "motion: input should be",
+        ),
         (lambda: Arrow((0, 0, 0), (1, 1), 2), r"must all be \(row, col\)"),
         (lambda: Stroke("pin", (((0, 0), (1, 2, 3)),), 1), r"must all be \(row, col\)"),
     ],

@@ -288,7 +288,7 @@ def test_the_menu_saves_the_field_in_each_direction(result, set_save_path, wait_
     back = inverse_displacement(
         solution.displacement, spacing=solution.spacing, tissue=solution.tissue
     )
-    np.testing.assert_allclose(read_field(path).field.backward, back.displacement, atol=1e-5)
+    np.testing.assert_allclose(read_field(path).backward, back.displacement, atol=1e-5)
     assert f"{back.residual:.2g} px" in dock.status
     path = tmp_path / f"forth{ending}"
     set_save_path(path)

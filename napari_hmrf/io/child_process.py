@@ -1,0 +1,120 @@
+"""Calls of functions in a child process, which a damaged file may crash or hang."""
+
+from __future__ import annotations
+
+import faulthandler
+import os
+import pickle
+import subprocess
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from multiprocessing.spawn import get_executable
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
+
+from napari_hmrf.errors import HmrfError
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+#: Time allowed for any call, and additional time per MB, in seconds; long enough for slow disks.
+_LEAST_SECONDS, _SECONDS_PER_MB = 10.0, 2.0
+#: Program of the child process. The public names of the package, which take a second to import, are
+#: not imported.
+_PROGRAM = """
+import sys, types
+package = types.ModuleType("napari_hmrf")
+package.__path__ = [sys.argv[1]]
+sys.modules["napari_hmrf"] = package
+from napari_hmrf.io.child_process import main
+main()
+"""
+#: Bytes that the child process sends when it has received its request.
+_READY = b"ready"
+
+
+class ChildDied(Exception):
+    """Error for a child process that crashed or did not finish in time."""
+
+
+def call_in_child(
+    size: int, function: Callable[P, T], *arguments: P.args, **options: P.kwargs
+) -> T:
+    """Call a function in a new process.
+
+    Unlike in a process of `multiprocessing`, the main module is not imported again.
+
+    Parameters
+    ----------
+    size : int
+        Size of the file that the function reads or writes, in bytes; it limits the time.
+    function : callable
+        Function of a module. Its arguments, its result and its errors are pickled.
+    *arguments, **options
+        Arguments of the function.
+
+    Raises
+    ------
+    ChildDied
+        If the process crashed or did not finish in time.
+    HmrfError
+        If no process can be started.
+    Exception
+        If the function raises it.
+    """
+    seconds = _LEAST_SECONDS + _SECONDS_PER_MB * size / 1e6
+    # An application that is frozen into one program has no interpreter.
+    python = "" if getattr(sys, "frozen", False) else get_executable() or ""
+    command = [python, "-P", "-c", _PROGRAM, str(Path(__file__).parents[1])]
+    paths = os.pathsep.join(os.path.abspath(each) for each in sys.path)
+    try:
+        process = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env={**os.environ, "PYTHONPATH": paths},
+            creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
+        )
+    except OSError:
+        raise HmrfError(
+            "this file is read in a separate process, but no Python interpreter was found for it. "
+            "Read the file in an environment with a Python interpreter."
+        ) from None
+    with process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        try:
+            with suppress(BrokenPipeError), process.stdin:
+                pickle.dump((seconds, function, arguments, options), process.stdin)
+            if process.stdout.read(len(_READY)) != _READY:
+                raise HmrfError(
+                    "this file is read in a separate process, which ended while starting."
+                )
+            succeeded, result = pickle.load(process.stdout)
+        except (EOFError, OSError, pickle.UnpicklingError):
+            raise ChildDied from None
+        finally:
+            process.kill()
+    if not succeeded:
+        raise result
+    return result  # type: ignore[no-any-return]
+
+
+def main() -> None:
+    """Call the function that standard input names, and write its result to standard output."""
+    results = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # libraries print warnings about damaged files
+    seconds, function, arguments, options = pickle.load(sys.stdin.buffer)
+    results.write(_READY)
+    results.flush()
+    # Ends this process even while a library hangs, and if the calling process has ended.
+    faulthandler.dump_traceback_later(seconds, exit=True)
+    try:
+        answer: tuple[bool, Any] = True, function(*arguments, **options)
+    except Exception as error:  # noqa: BLE001 - raised again in the calling process
+        answer = False, error
+    pickle.dump(answer, results)
+    results.flush()
+    os._exit(0)  # after an error, HDF5 would crash while it closes its file

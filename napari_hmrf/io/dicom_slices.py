@@ -1,0 +1,181 @@
+"""Order and distances of the slices of a DICOM series, and of the frames of a DICOM file."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.io.itk_image import Unreadable
+
+#: Largest distance between a pixel and its place on a regular grid, in pixels.
+_OFF = 0.1
+#: Largest difference between the cosines of two directions that are considered equal.
+_TURNED = 1e-3
+#: Positions, directions and number of frames in a file of several frames, with explicit or implicit
+#: types, and the tag that precedes the pixels. SimpleITK does not give the positions.
+_FRAME_POSITIONS, _FRAME_DIRECTIONS, _FRAME_COUNT = (
+    re.compile(rb"%b\x00(?:[DI]S..|.\x00\x00\x00)([-+.0-9eE \\]+)" % tag, re.DOTALL)
+    for tag in (rb"\x20\x00\x32", rb"\x20\x00\x37", rb"\x28\x00\x08")
+)
+_PIXELS = b"\xe0\x7f\x10\x00"
+
+
+class Slice(NamedTuple):
+    """Slice of a DICOM series: size, spacing, direction and position as in ITK, and rescaling."""
+
+    path: str
+    size: tuple[int, ...]
+    spacing: tuple[float, ...]
+    direction: tuple[float, ...]
+    origin: tuple[float, ...] | None
+    rescale: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Name of the file."""
+        return Path(self.path).name
+
+
+def ordered(slices: list[Slice]) -> list[Slice]:
+    """Return the slices of a volume in the order of their positions.
+
+    Slices without positions keep their order.
+
+    Raises
+    ------
+    Unreadable
+        If the slices are not those of one volume on a regular grid at right angles.
+    """
+    if any(math.prod(each.size[2:]) > 1 for each in slices):
+        raise Unreadable("the folder contains files of several frames. Give one of these files")
+    _check_alike(slices)
+    if all(each.origin is None for each in slices):
+        return slices
+    lost = [each.name for each in slices if each.origin is None]
+    if lost:
+        raise Unreadable(
+            f"{_listed(lost)} {_have(lost)} no position. Give a folder with one volume"
+        )
+    normal = slices[0].direction[2::3]
+    slices = sorted(slices, key=lambda each: float(np.dot(normal, each.origin or ())))
+    names = [each.name for each in slices]
+    check_regular([each.origin or () for each in slices], normal, slices[0].spacing, names)
+    return slices
+
+
+def _check_alike(slices: list[Slice]) -> None:
+    """Raise an error if some slices differ from most in size, pixels or direction."""
+
+    def alike(one: Slice, other: Slice) -> bool:
+        return (
+            one.size[:2] == other.size[:2]
+            and np.allclose(one.spacing[:2], other.spacing[:2], rtol=1e-3)
+            and np.allclose(one.direction, other.direction, rtol=0, atol=_TURNED)
+        )
+
+    groups: list[list[Slice]] = []
+    for each in slices:
+        group = next((group for group in groups if alike(group[0], each)), None)
+        if group is None:
+            groups.append([each])
+        else:
+            group.append(each)
+    groups.sort(key=len)
+    others = [each.name for group in groups[:-1] for each in group]
+    if others:
+        raise Unreadable(
+            f"{_listed(others)} {_have(others)} another direction, size or pixel size than the "
+            "other slices, as scouts have. Move these files to another folder"
+        )
+
+
+def check_regular(
+    positions: Sequence[Sequence[float]],
+    normal: npt.ArrayLike,
+    spacing: Sequence[float],
+    names: Sequence[str],
+) -> None:
+    """Raise an error if slices are not one above the other, at equal distances.
+
+    Parameters
+    ----------
+    positions : sequence of sequence of float
+        Position of each slice, in the order of the slices.
+    normal : array_like, shape (3,)
+        Direction perpendicular to the slices.
+    spacing : sequence of float
+        Pixel size along each axis of a slice.
+    names : sequence of str
+        Names of the slices, for messages.
+
+    Raises
+    ------
+    Unreadable
+        If slices share a position, are missing, or are shifted along each other.
+    """
+    depths = np.asarray(positions) @ normal
+    steps = np.diff(depths)
+    step = float(np.sort(np.abs(steps))[len(steps) // 2])
+    doubled = int((np.abs(steps) <= _OFF * step).sum())
+    if doubled:
+        raise Unreadable(
+            f"{doubled} of {len(depths)} slices are at the position of another slice, so there is "
+            "more than one volume. Keep the files of one volume"
+        )
+    regular = np.linspace(depths[0], depths[-1], len(depths))
+    if np.abs(depths - regular).max() > _OFF * abs(regular[1] - regular[0]):
+        far = int(np.abs(np.abs(steps) - step).argmax())
+        raise Unreadable(
+            f"the distances of its slices differ: most are {step:.4g} mm apart, but {names[far]} "
+            f"and {names[far + 1]} are {abs(steps[far]):.4g} mm apart. Add the missing slices, or "
+            "resample the volume to equal distances"
+        )
+    across = np.subtract(positions[-1], positions[0])
+    depth = abs(across @ normal)
+    shift = float(np.linalg.norm(across - (across @ normal) * np.asarray(normal)))
+    if shift > _OFF * min(spacing[:2]):
+        raise Unreadable(
+            f"its slices are shifted along each other, by {shift:.3g} mm from the first to the "
+            f"last (a gantry tilt of {math.degrees(math.atan2(shift, depth)):.3g} degrees). "
+            "Convert it with dcm2niix, which corrects the tilt, and give the corrected file"
+        )
+
+
+def check_frames(source: Path) -> None:
+    """Raise an error if the frames of a DICOM file are not in the order of their positions."""
+    header = source.read_bytes().partition(_PIXELS)[0]
+    try:
+        positions, directions, counts = (
+            [[*map(float, text.split(b"\\"))] for text in found.findall(header)]
+            for found in (_FRAME_POSITIONS, _FRAME_DIRECTIONS, _FRAME_COUNT)
+        )
+    except ValueError:
+        return  # the bytes have another meaning
+    across = directions[0] if directions else [1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+    is_volume = len(positions) > 1 and [len(positions)] in counts
+    if not is_volume or len(across) != 6 or any(len(at) != 3 for at in positions):
+        return
+    normal = np.cross(across[:3], across[3:])
+    steps = np.diff(np.asarray(positions) @ normal)
+    if steps.min() < 0 < steps.max():
+        raise Unreadable(
+            "its frames are not stored in the order of their positions. Convert it with dcm2niix, "
+            "which sorts them"
+        )
+    names = [f"frame {number}" for number in range(1, len(positions) + 1)]
+    check_regular(positions, normal, (1.0, 1.0), names)
+
+
+def _listed(names: list[str]) -> str:
+    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    return f"{', '.join(names[:3])}{more}"
+
+
+def _have(names: list[str]) -> str:
+    return "has" if len(names) == 1 else "have"

@@ -1,0 +1,357 @@
+"""Reading and writing of single files with SimpleITK, in the current process."""
+
+from __future__ import annotations
+
+import math
+import re
+import zlib
+from collections.abc import Callable
+from functools import wraps
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.field.units import unit_factor
+from napari_hmrf.geometry import Geometry
+from napari_hmrf.io.dicom_slices import Slice, check_frames, ordered
+from napari_hmrf.io.itk_image import CUT_SHORT, ItkImage, Unreadable, check_size, missing_package
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+#: ITK's readers by suffix. Without a name, ITK tries all its readers.
+READERS = {
+    ".mha": "MetaImageIO",
+    ".mhd": "MetaImageIO",
+    ".nrrd": "NrrdImageIO",
+    ".nhdr": "NrrdImageIO",
+    ".dcm": "GDCMImageIO",
+}
+#: Suffixes of transforms in text files.
+TEXTS = (".tfm", ".txt")
+_NRRD, _META = (".nrrd", ".nhdr"), (".mha", ".mhd")
+#: Fields of the spacing in headers of NRRD and MetaImage.
+_SPACING = ("spacings", "elementspacing", "elementsize")
+#: Suffixes of header files with the pixels in another file of the same folder.
+_PARTED = (".mhd", ".nhdr", ".hdr")
+#: Characters that are not in a text.
+_CONTROL = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
+#: Values of fields for compressed pixels, and zlib's flag for both headers of compressed content.
+_PACKED, _ZLIB_OR_GZIP = ("true", "gz", "gzip"), 32
+#: Number of bytes that are decompressed at a time.
+_PIECE = 2**16
+_FIELD = "DisplacementFieldTransform"
+#: DICOM keys of the position of a slice, and of its rescale slope and intercept.
+_POSITION, _RESCALE = "0020|0032", ("0028|1053", "0028|1052")
+
+
+def _simpleitk() -> Any:
+    try:
+        import SimpleITK  # optional: SimpleITK
+    except ImportError:
+        raise missing_package("SimpleITK") from None
+    return SimpleITK
+
+
+def _reading(function: Callable[P, T]) -> Callable[P, T]:
+    """Convert the errors of SimpleITK, whose messages cite its source files."""
+
+    @wraps(function)
+    def read(*arguments: P.args, **options: P.kwargs) -> T:
+        try:
+            return function(*arguments, **options)
+        except RuntimeError:
+            raise Unreadable("") from None
+
+    return read
+
+
+@_reading
+def read_head(path: Path) -> tuple[tuple[int, ...], bool]:
+    """Return the number of pixels along each axis, ([z,] y, x), and whether pixels are vectors.
+
+    Raises
+    ------
+    Unreadable
+        As for `read_pixels`.
+    """
+    reader, _ = _checked_reader(path)
+    kind = _simpleitk().GetPixelIDValueAsString(reader.GetPixelID())
+    is_field = reader.GetNumberOfComponents() == reader.GetDimension() and "float" in kind
+    return reader.GetSize()[::-1], is_field
+
+
+@_reading
+def read_pixels(path: Path) -> ItkImage:
+    """Read an image.
+
+    Raises
+    ------
+    Unreadable
+        If the file is not an image, is damaged, or is too small for its pixels.
+    HmrfError
+        If SimpleITK is not installed.
+    """
+    reader, unit = _checked_reader(path)
+    image = _image(reader.Execute())
+    return image._replace(geometry=image.geometry.scaled(unit))
+
+
+@_reading
+def read_transform(path: Path) -> ItkImage:
+    """Read the displacement field of a transform.
+
+    Raises
+    ------
+    Unreadable
+        If the file is not a transform with a displacement field, or is damaged or truncated.
+    HmrfError
+        If SimpleITK is not installed.
+    """
+    sitk = _simpleitk()
+    if path.suffix.lower() in TEXTS:
+        _check_text(path)
+    transform = sitk.ReadTransform(str(path))
+    if transform.GetName() == _FIELD:
+        return _image(sitk.DisplacementFieldTransform(transform).GetDisplacementField())
+    # ANTs stores a displacement field and an affine transform in one file. Because the last
+    # transform is applied first, the grid of the last field is that of the image.
+    is_chain = transform.GetName() == "CompositeTransform"
+    chain = sitk.CompositeTransform(transform if is_chain else [transform])
+    parts = [chain.GetNthTransform(number) for number in range(chain.GetNumberOfTransforms())]
+    last = [part for part in parts if part.GetName() == _FIELD][-1:]
+    if not last:
+        names = ", ".join(part.GetName() for part in parts)
+        raise Unreadable(
+            f"it contains no field, but {names}. Convert it to a field on the grid of the image, "
+            "as with SimpleITK.TransformToDisplacementField"
+        )
+    field = sitk.DisplacementFieldTransform(last[0]).GetDisplacementField()
+    if len(parts) > 1:
+        grid = (field.GetSize(), field.GetOrigin(), field.GetSpacing(), field.GetDirection())
+        field = sitk.TransformToDisplacementField(chain, sitk.sitkVectorFloat64, *grid)
+    return _image(field)
+
+
+@_reading
+def read_series(folder: Path) -> ItkImage:
+    """Read the only series in a folder of DICOM files.
+
+    Raises
+    ------
+    Unreadable
+        If the folder does not contain exactly one series, or the slices are not those of one
+        volume on a regular grid.
+    HmrfError
+        If SimpleITK is not installed.
+    """
+    sitk = _simpleitk()
+    reader = sitk.ImageSeriesReader()
+    series = reader.GetGDCMSeriesIDs(str(folder))
+    if len(series) != 1:
+        content = f"{len(series)} series" if series else "no DICOM file"
+        raise Unreadable(f"the folder contains {content}. Give a folder with one series")
+    slices = [*map(_slice, reader.GetGDCMSeriesFileNames(str(folder), series[0]))]
+    if len(slices) > 1:
+        slices = ordered(slices)
+    reader.SetFileNames([each.path for each in slices])
+    if len({each.rescale for each in slices}) > 1:  # the type of the first slice is too narrow
+        reader.SetOutputPixelType(sitk.sitkFloat32)
+    return _image(reader.Execute())
+
+
+def write(path: Path, image: ItkImage, *, transform: bool) -> None:
+    """Write an image, or a displacement field as a transform.
+
+    Raises
+    ------
+    RuntimeError, NotImplementedError, TypeError
+        If SimpleITK does not support such pixels in this format, or if the disk is full; some
+        formats do not report a full disk.
+    HmrfError
+        If SimpleITK is not installed.
+    """
+    sitk = _simpleitk()
+    values = np.ascontiguousarray(image.pixels, image.pixels.dtype.newbyteorder("="))
+    made = sitk.GetImageFromArray(values, isVector=image.components > 1)
+    made.SetSpacing(image.geometry.spacing[::-1])
+    made.SetOrigin(image.geometry.origin)
+    made.SetDirection(image.geometry.direction.ravel().tolist())
+    for key, text in image.metadata.items():
+        made.SetMetaData(key, text)
+    if transform:
+        sitk.WriteTransform(sitk.DisplacementFieldTransform(made), str(path))
+    else:
+        sitk.WriteImage(made, str(path), useCompression=True)
+
+
+def _image(image: Any) -> ItkImage:
+    pixels: npt.NDArray[Any] = _simpleitk().GetArrayFromImage(image)
+    spacing = image.GetSpacing()[::-1]
+    shape = pixels.shape[: len(spacing)]
+    geometry = Geometry.of_itk(shape, spacing, image.GetOrigin(), image.GetDirection())
+    metadata = {}
+    for key in image.GetMetaDataKeys():
+        try:
+            metadata[key] = image.GetMetaData(key)
+        except (UnicodeError, TypeError):  # the text or its key is damaged
+            continue
+    return ItkImage(pixels, image.GetNumberOfComponentsPerPixel(), geometry, metadata)
+
+
+def _checked_reader(path: Path) -> tuple[Any, float]:
+    """Return a reader whose file can contain its pixels, and its unit of length in mm."""
+    sitk, suffix, unit = _simpleitk(), path.suffix.lower(), 1.0
+    if suffix == ".dcm":
+        check_frames(path)
+    fields, end = _text_header(path) if suffix in (*_NRRD, *_META) else ({}, 0)
+    if fields:
+        _require_spacing(fields)
+    if suffix in _NRRD:
+        unit = _unit_of(fields.get("space units", ""))
+    reader = sitk.ImageFileReader()
+    reader.SetFileName(str(path))
+    reader.SetImageIO(READERS.get(suffix, ""))
+    reader.ReadImageInformation()
+    files = path.parent.iterdir() if suffix in _PARTED else [path]
+    largest = max(filter(Path.is_file, files), key=lambda file: file.stat().st_size)
+    needed = _bytes_of(reader)
+    check_size(needed, largest)
+    _check_packed(path, fields, end, needed)
+    return reader, unit
+
+
+def _bytes_of(reader: Any) -> int:
+    """Return the size of the pixels that a header states, in bytes."""
+    pixel = _simpleitk().Image([1, 1], reader.GetPixelID(), reader.GetNumberOfComponents())
+    size = pixel.GetSizeOfPixelComponent() * pixel.GetNumberOfComponentsPerPixel()
+    return int(math.prod(reader.GetSize()) * size)
+
+
+def _text_header(path: Path) -> tuple[dict[str, str], int]:
+    """Return the fields of a NRRD or MetaImage header, and its length in bytes.
+
+    ITK crashes if an NRRD header is not text, as where the blank line at its end is damaged.
+    """
+    is_nrrd = path.suffix.lower() in _NRRD
+    fields = {}
+    with open(path, "rb") as file:
+        for line in file:
+            if _CONTROL.search(line):
+                raise Unreadable("its header is damaged")
+            key, _, value = line.decode("latin-1").partition(":" if is_nrrd else "=")
+            fields[key.strip().lower()] = value.strip()
+            if not line.strip(b"\r\n") if is_nrrd else "elementdatafile" in fields:
+                break
+        return fields, file.tell()
+
+
+def _require_spacing(fields: dict[str, str]) -> None:
+    """Raise an error for an NRRD or MetaImage header without a spacing, which ITK reads as 1 mm."""
+    if "space directions" in fields:
+        return
+    stated = next((fields[key] for key in _SPACING if key in fields), None)
+    if stated is None:
+        raise Unreadable(
+            "its header states no spacing. Save it with its spacing, or as a .tif, whose lengths "
+            "are in pixels"
+        )
+    try:
+        is_positive = all(float(size) > 0 for size in stated.split())
+    except ValueError:
+        is_positive = False
+    if not is_positive:
+        raise Unreadable(f"its header states the spacing {stated}. Give positive lengths")
+
+
+def _unit_of(space_units: str) -> float:
+    """Return the unit of length of an NRRD file, in mm, which ITK ignores."""
+    units = set(re.findall(r'"([^"]+)"', space_units))
+    factors = {unit_factor(unit, "millimeter") for unit in units} or {1.0}
+    if len(factors) > 1 or not all(map(math.isfinite, factors)):
+        raise Unreadable(
+            f"its space units are {' and '.join(sorted(units))}. Set one unit of length for all "
+            "axes, such as mm"
+        )
+    return factors.pop()
+
+
+def _check_packed(path: Path, fields: dict[str, str], start: int, needed: int) -> None:
+    """Raise an error if compressed pixels are damaged or too few; ITK ignores their checksum.
+
+    Parameters
+    ----------
+    path : Path
+        NRRD or MetaImage file.
+    fields : dict of str to str
+        Fields of its header.
+    start : int
+        Length of the header, in bytes.
+    needed : int
+        Size of the pixels, in bytes.
+    """
+    is_packed = fields.get("compresseddata", fields.get("encoding", "")).lower() in _PACKED
+    if not is_packed or any(key.startswith(("byte", "line")) for key in fields):
+        return  # the pixels start elsewhere in their file
+    names = (fields.get(key, "") for key in ("elementdatafile", "data file", "datafile"))
+    name = next(filter(None, names), "LOCAL")
+    file, start = (path, start) if name == "LOCAL" else (path.parent / name, 0)
+    if not file.is_file():  # a list or a pattern of names
+        return
+    unpacker, count = zlib.decompressobj(zlib.MAX_WBITS | _ZLIB_OR_GZIP), 0
+    with open(file, "rb") as stream:
+        stream.seek(start)
+        while not unpacker.eof and (piece := stream.read(_PIECE)):
+            try:
+                count += len(unpacker.decompress(piece))
+            except zlib.error:
+                raise Unreadable(CUT_SHORT) from None
+    if not unpacker.eof or count < needed:
+        raise Unreadable(CUT_SHORT)
+
+
+def _slice(path: str) -> Slice:
+    reader = _simpleitk().ImageFileReader()
+    reader.SetFileName(path)
+    reader.SetImageIO(READERS[".dcm"])
+    reader.ReadImageInformation()
+    check_size(_bytes_of(reader), Path(path))
+    keys = reader.GetMetaDataKeys()
+    return Slice(
+        path,
+        reader.GetSize(),
+        reader.GetSpacing(),
+        reader.GetDirection(),
+        reader.GetOrigin() if _POSITION in keys else None,
+        tuple(reader.GetMetaData(key).strip() if key in keys else "" for key in _RESCALE),
+    )
+
+
+def _check_text(path: Path) -> None:
+    """Raise an error if a field in a text file is incomplete.
+
+    ITK would fill missing numbers with arbitrary values.
+    """
+    try:
+        text = path.read_text(encoding="ascii")
+        n, count = 0, -1
+        for line in text.splitlines():
+            key, _, value = line.partition(":")
+            if key == "Transform":
+                is_field = value.strip().startswith(f"{_FIELD}_")
+                n = int(value.rsplit("_", 1)[-1]) if is_field else 0
+            elif key == "Parameters":
+                count = len(value.split())
+            elif key == "FixedParameters" and n:
+                fixed = np.array(value.split(), float)
+                if len(fixed) != n * (n + 3) or n * fixed[:n].prod() != count:
+                    raise Unreadable(
+                        "it does not contain the number of values that its header states"
+                    )
+                n = 0
+    except ValueError:
+        raise Unreadable("it is damaged") from None
+    if n or not text.endswith("\n"):
+        raise Unreadable("it is truncated")
