@@ -414,10 +414,9 @@ def make_landmarks(path: Path) -> None:
 
 def read_all(path: Path) -> tuple[Any, ...]:
     """Return the vectors and geometry of a field, for comparison."""
-    found = read_field(path, forward=True)
-    field = found
+    field = read_field(path, forward=True)
     vectors = field.vectors
-    place = (found.spacing, found.origin, found.direction.tobytes(), field.back)
+    place = (field.spacing, field.origin, field.direction.tobytes(), field.back)
     return vectors.dtype.str, vectors.shape, vectors.tobytes(), *place
 
 

@@ -605,7 +605,7 @@ def _killed_fields(kills: Kills, path: Path) -> Iterator[tuple[str, str]]:
         write_field(path, vectors, spacing=(1.0, 1.0), forward=True)
 
     def read(path: Path) -> bytes:
-        return np.round(read_field(path, forward=True).field.vectors, 6).tobytes()
+        return np.round(read_field(path, forward=True).vectors, 6).tobytes()
 
     known = {}
     for seed, name in enumerate(("first", "second")):
