@@ -275,6 +275,7 @@ def _solve(options: argparse.Namespace) -> int:
         materials=options.materials,
         maps=options.maps,
         boundary=options.boundary,
+        targets=options.targets,
         rules=options.rules,
         confidence=confidence if confidence in (None, "edges") else Path(confidence),
         slice=options.slice,
@@ -303,8 +304,10 @@ def _solve(options: argparse.Namespace) -> int:
 
 
 def _register(options: argparse.Namespace) -> int:
-    if options.landmark_sd is not None and options.landmarks is None:
-        raise HmrfError("--landmark-sd requires --landmarks. Give --landmarks, or leave it out.")
+    for name in ("landmark_sd", "targets"):
+        if getattr(options, name) is not None and options.landmarks is None:
+            option = f"--{name.replace('_', '-')}"
+            raise HmrfError(f"{option} requires --landmarks. Give --landmarks, or leave it out.")
     case = RegistrationCase(
         fixed=options.fixed,
         moving=options.moving,
@@ -314,6 +317,7 @@ def _register(options: argparse.Namespace) -> int:
         mask=options.mask,
         moving_mask=options.moving_mask,
         landmarks=options.landmarks,
+        targets=options.targets,
         landmark_sd=options.landmark_sd,
         spacing=options.spacing,
         alignment=options.alignment,

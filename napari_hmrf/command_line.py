@@ -383,8 +383,9 @@ def _add_solve(commands: Commands) -> None:
         type=Path,
         metavar="FILE",
         help="boundary conditions: a label image, used with --rules; pairs of landmarks (.csv of "
-        "BigWarp); or a displacement field",
+        "BigWarp), or landmarks used with --targets; or a displacement field",
     )
+    _add_targets(solve, "--boundary")
     solve.add_argument(
         "--rules",
         type=Path,
@@ -500,8 +501,10 @@ def _add_register(commands: Commands) -> None:
         type=Path,
         metavar="CSV",
         help="pairs of landmarks in the columns of BigWarp: first the position in FIXED, then that "
-        "in MOVING; a further column may contain standard deviations",
+        "in MOVING; a further column may contain standard deviations; or positions in FIXED, used "
+        "with --targets",
     )
+    _add_targets(register, "--landmarks, in MOVING")
     register.add_argument(
         "--landmark-sd",
         type=positive_option,
@@ -582,6 +585,16 @@ def _add_slice(command: argparse.ArgumentParser) -> None:
         type=int,
         metavar="N",
         help="index of a slice along the first axis of a volume (default: the whole volume)",
+    )
+
+
+def _add_targets(command: argparse.ArgumentParser, landmarks: str) -> None:
+    command.add_argument(
+        "--targets",
+        type=Path,
+        metavar="FILE",
+        help=f"target positions of the landmarks of {landmarks}, in the same order, if it is one "
+        "list of points (.mrk.json or .fcsv of 3D Slicer, .csv of napari)",
     )
 
 

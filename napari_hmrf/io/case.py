@@ -31,7 +31,7 @@ from napari_hmrf.io.images import (
     stem_of,
     write_image,
 )
-from napari_hmrf.io.landmark_files import POINT_SUFFIXES, read_points
+from napari_hmrf.io.landmark_files import POINT_SUFFIXES, read_pairs
 from napari_hmrf.io.landmark_frames import in_pixels
 from napari_hmrf.io.overwriting import refuse_overwriting
 from napari_hmrf.io.segmentation_tables import tissue_table
@@ -130,6 +130,7 @@ def _refuse_unused(case: Case, is_planar: bool) -> None:
         (not (case.labels or case.maps), "--materials", "requires --labels or --maps"),
         (bool(case.maps), "--labels", "cannot be used with --maps: both define the tissue"),
         (path is None or marks, "--rules", "requires a --boundary that is a label image"),
+        (not marks, "--targets", "requires a --boundary with landmarks"),
         (not field, "--confidence", "requires a --boundary that is a field"),
         (not field, "--forward", "requires a --boundary that is a field"),
         (is_planar, "--slice", f"requires a volume, but {case.image.name} is not a volume"),
@@ -433,16 +434,9 @@ def _confidence_of(case: Case, whole: ImageFile) -> npt.NDArray[Any]:
 
 
 def _landmarks(case: Case, path: Path, grid: Grid, whole: ImageFile) -> Drawing:
-    file, n = read_points(path), len(grid.shape)
-    if file.targets is None:
-        raise ProblemError(
-            path.name,
-            "contains landmarks without target positions. Give pairs of landmarks, as written by "
-            "BigWarp.",
-        )
+    (file, targets), n = read_pairs(path, case.targets), len(grid.shape)
     ends = [
-        in_pixels(file, points, whole, path.name, case.slice)
-        for points in (file.points, file.targets)
+        in_pixels(file, points, whole, path.name, case.slice) for points in (file.points, targets)
     ]
     if any((abs(at[:, :-n]) > 0.5).any() for at in ends):
         raise ProblemError(

@@ -45,8 +45,10 @@ class Case:
         1-based index of the most likely tissue, or 0 where the probability that there is no tissue,
         ``1 - sum(maps)``, is larger.
     boundary : Path, optional
-        Motion of the tissue: a label image, with a table of `rules`; pairs of landmarks (.csv); or
-        a displacement field, such as the result of a registration.
+        Motion of the tissue: a label image, with a table of `rules`; landmarks, as pairs (.csv) or
+        with `targets`; or a displacement field, such as the result of a registration.
+    targets : Path, optional
+        Target positions of the landmarks of `boundary`, in the same order.
     rules : Path, optional
         Table of boundary rules (.csv).
     forward : bool
@@ -87,6 +89,7 @@ class Case:
     materials: Path | None = None
     maps: Sequence[Path] = ()
     boundary: Path | None = None
+    targets: Path | None = None
     rules: Path | None = None
     forward: bool = False
     confidence: Path | Literal["edges"] | None = None
@@ -103,7 +106,7 @@ class Case:
     cavity: Cavity | None = None
 
     def __post_init__(self) -> None:
-        for name in ("image", "labels", "materials", "boundary", "rules", "confidence"):
+        for name in ("image", "labels", "materials", "boundary", "targets", "rules", "confidence"):
             path = getattr(self, name)
             if path is not None and (name, path) != ("confidence", "edges"):
                 object.__setattr__(self, name, Path(checked_path(path, name)))
@@ -120,7 +123,15 @@ class Case:
     @property
     def inputs(self) -> tuple[Path, ...]:
         """Paths of the input files and folders."""
-        named = (self.image, self.labels, self.materials, self.boundary, self.rules, *self.maps)
+        named = (
+            self.image,
+            self.labels,
+            self.materials,
+            self.boundary,
+            self.targets,
+            self.rules,
+            *self.maps,
+        )
         confidence = (self.confidence,) if isinstance(self.confidence, Path) else ()
         return tuple(path for path in (*named, *confidence) if path is not None)
 

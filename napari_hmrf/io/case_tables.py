@@ -4,9 +4,9 @@ A table can have the following columns:
 
 - the ``name`` of the case;
 - the input and options of ``napari-hmrf solve``: ``image`` or ``study``, ``labels``, ``maps``,
-  ``materials``, ``boundary``, ``rules``, ``forward``, ``confidence``, ``slice``, ``spacing``,
-  ``hold-edge``, ``model``, ``plane``, ``tolerance``, ``budget``, ``penalty``, ``weight`` and
-  ``cavity``;
+  ``materials``, ``boundary``, ``targets``, ``rules``, ``forward``, ``confidence``, ``slice``,
+  ``spacing``, ``hold-edge``, ``model``, ``plane``, ``tolerance``, ``budget``, ``penalty``,
+  ``weight`` and ``cavity``;
 - values that replace numbers in the files of the case: ``poisson``, ``growth:TISSUE``,
   ``stiffness:TISSUE``, ``poisson:TISSUE`` and ``amount:BOUNDARY``, in which a tissue or boundary is
   identified by its label or name.
@@ -41,7 +41,7 @@ from napari_hmrf.tissue.cavity import Cavity
 
 #: Largest size of a table, in bytes; a larger file is not read.
 _LARGEST = 2**24
-_FILES = "image", "labels", "materials", "boundary", "rules", "confidence"
+_FILES = "image", "labels", "materials", "boundary", "targets", "rules", "confidence"
 _ENERGY_OPTIONS = "plane", "tolerance", "budget", "penalty", "weight", "cavity"
 _COLUMNS = (
     *("name", "study", *_FILES, "maps", "forward", "slice", "spacing", "hold-edge"),

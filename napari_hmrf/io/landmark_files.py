@@ -144,6 +144,56 @@ def read_points(path: str | os.PathLike[str]) -> LandmarkFile:
     return landmarks
 
 
+def read_pairs(path: Path, targets: Path | None = None) -> tuple[LandmarkFile, Points]:
+    """Read landmarks and their targets, from one file or from two.
+
+    Parameters
+    ----------
+    path : Path
+        Pairs of BigWarp, or one list of points.
+    targets : Path, optional
+        List with the targets of these points, in the same order.
+
+    Returns
+    -------
+    file : LandmarkFile
+    targets : ndarray, shape (N, n)
+
+    Raises
+    ------
+    ProblemError
+        If there is not one target for each landmark, in the same unit and order.
+    FileFormatError, OSError
+        As for `read_points`.
+    """
+    file = read_points(path)
+    if targets is None:
+        if file.targets is None:
+            raise ProblemError(
+                path.name,
+                "contains landmarks without target positions. Give pairs of BigWarp, or a second "
+                "file with --targets.",
+            )
+        return file, file.targets
+    if file.targets is not None:
+        raise ProblemError(path.name, "contains pairs of landmarks. Leave out --targets.")
+    other = read_points(targets)
+    if other.targets is not None or (len(other.points), other.unit) != (
+        len(file.points),
+        file.unit,
+    ):
+        raise ProblemError(
+            targets.name,
+            f"contains {other}, but {path.name} contains {file}. Give one target for each point.",
+        )
+    common = {*file.names} & {*other.names}
+    if any(file.names.index(name) != other.names.index(name) for name in common):
+        raise ProblemError(
+            targets.name, f"has the points of {path.name} in another order. Sort them alike."
+        )
+    return file, other.points
+
+
 def is_landmark_file(path: str | os.PathLike[str]) -> bool:
     """Return whether a file is a landmark file of 3D Slicer or BigWarp.
 

@@ -26,7 +26,7 @@ from napari_hmrf.io.case_options import Case
 from napari_hmrf.io.fields import placed, write_mapping
 from napari_hmrf.io.images import read_picture_as, result_suffix, shape_of, stem_of, write_image
 from napari_hmrf.io.itk_files import has_simpleitk
-from napari_hmrf.io.landmark_files import read_points
+from napari_hmrf.io.landmark_files import read_pairs
 from napari_hmrf.io.landmark_frames import in_pixels
 from napari_hmrf.io.overwriting import refuse_overwriting
 from napari_hmrf.io.study_file import is_study_file, write_study
@@ -76,7 +76,10 @@ class RegistrationCase:
     mask, moving_mask : Path, optional
         Images of the pixels of `fixed` and of `moving` that count: those that are not 0.
     landmarks : Path, optional
-        Pairs of landmarks in BigWarp's format: positions in `fixed`, then in `moving`.
+        Pairs of landmarks in BigWarp's format: positions in `fixed`, then in `moving`; or
+        positions in `fixed` alone.
+    targets : Path, optional
+        Positions of these landmarks in `moving`, in the same order.
     landmark_sd : float, optional
         Standard deviation of landmarks without one in their file, in the unit of `fixed`; by
         default, one pixel.
@@ -97,6 +100,7 @@ class RegistrationCase:
     mask: Path | None = None
     moving_mask: Path | None = None
     landmarks: Path | None = None
+    targets: Path | None = None
     landmark_sd: float | None = None
     spacing: tuple[tuple[float, ...], str] | None = None
     alignment: Literal["rigid", "affine"] | None = None
@@ -492,17 +496,11 @@ def _aligned(kind: Literal["rigid", "affine"], pair: _Pair) -> Float64Array:
 def _landmarks(case: RegistrationCase, pair: _Pair, matrix: Float64Array) -> Landmarks:
     """Read landmarks; the alignment is removed from their targets."""
     assert case.landmarks is not None
-    file, name = read_points(case.landmarks), case.landmarks.name
-    if file.targets is None:
-        raise ProblemError(
-            name,
-            "contains landmarks without positions in the moving image. Give pairs of landmarks, as "
-            "written by BigWarp.",
-        )
+    (file, there), name = read_pairs(case.landmarks, case.targets), case.landmarks.name
     n, sizes = len(pair.spacing), np.asarray(pair.spacing)
     points, targets = (
         in_pixels(file, points, read_picture_as(image, case.spacing), name)[:, -n:]
-        for image, points in ((case.fixed, file.points), (case.moving, file.targets))
+        for image, points in ((case.fixed, file.points), (case.moving, there))
     )
     if not len(points):
         raise ProblemError(name, "contains no active landmarks. Give at least one active pair.")

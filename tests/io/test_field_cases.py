@@ -30,7 +30,7 @@ from napari_hmrf.io.images import is_scan, read_image, write_image
 from napari_hmrf.io.itk_image import Unreadable
 from napari_hmrf.io.registration_files import relative_place
 from napari_hmrf.io.segmentation_tables import read_label_names
-from napari_hmrf.landmarks import read_points
+from napari_hmrf.landmarks import read_points, write_points
 from napari_hmrf.layers.read import Request, study_from_layers
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.solver.solution import Provenance, Solution
@@ -446,6 +446,26 @@ def test_other_landmark_files_are_refused_with_their_reason(tmp_path, name, text
     for read in (read_points, open_landmarks(str(path))):
         with pytest.raises(FileFormatError, match=reason):
             read(str(path))
+
+
+def test_pairs_are_read_from_two_files_of_slicer(tmp_path):
+    image = sitk.Image([8, 9, 6], sitk.sitkInt16)
+    image.SetOrigin((3, 4, 5))
+    sitk.WriteImage(image, str(tmp_path / "a.nrrd"))
+    at, to = np.array([[7.0, 7, 7], [7, 9, 8]]), np.array([[7.0, 7, 8], [7, 9, 8]])
+    one, other = tmp_path / "one.mrk.json", tmp_path / "other.fcsv"
+    write_points(one, at, names=["A", "B"])
+    write_points(other, to, names=["A", "B"])
+    study = read_case(Case(tmp_path / "a.nrrd", boundary=one, targets=other))
+    np.testing.assert_allclose([mark.source for mark in study.motion.drawing.marks], at - (5, 4, 3))
+    np.testing.assert_allclose([mark.target for mark in study.motion.drawing.marks], to - (5, 4, 3))
+    for points, names in ((to[::-1], ["B", "A"]), (to[:1], ["A"])):
+        write_points(other, points, names=names)
+        with pytest.raises(ProblemError) as error:
+            read_case(Case(tmp_path / "a.nrrd", boundary=one, targets=other))
+        assert error.value.field == "other.fcsv"
+    with pytest.raises(ProblemError, match="--targets"):
+        read_case(Case(tmp_path / "a.nrrd", boundary=one))
 
 
 def solution_of(displacement, frame=None, spacing=(1.0, 1.0)):
