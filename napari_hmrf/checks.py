@@ -99,6 +99,7 @@ Whole = Annotated[int, Words("a whole number, such as 1")]
 Painted = Annotated[int, Field(ge=1), Words("a whole number above 0, such as 1")]
 Number = Annotated[_BOUNDED, Words("a number")]
 Positive = Annotated[_BOUNDED, Field(gt=0), Words("a number above 0")]
+NotNegative = Annotated[_BOUNDED, Field(ge=0), Words("a number of at least 0")]
 #: Standard deviation of a position.
 Spread = Annotated[
     _BOUNDED,
@@ -108,6 +109,8 @@ Spread = Annotated[
 ]
 #: Confidence of an observation, which would have no effect at 0.
 PositiveShare = Annotated[_BOUNDED, Field(gt=0, le=1), Words("a number above 0, up to 1")]
+#: Amount of work, which may be unlimited.
+Budget = Annotated[float, Field(gt=0), Words("a number above 0, or inf")]
 #: Confidence or share.
 Share = Annotated[_BOUNDED, Field(ge=0, le=1), Words("a number from 0 to 1")]
 Poisson = Annotated[
@@ -128,7 +131,9 @@ _Strain = Annotated[_BOUNDED, Field(gt=-1, le=LARGEST_GROWTH), BeforeValidator(_
 Growth = Annotated[
     _Strain | Annotated[tuple[_Strain, ...], _AXES],
     BeforeValidator(_along_axes),
-    Words(f"above -1 and up to {LARGEST_GROWTH:g}, such as 0.2 or 20%, or one for each axis"),
+    Words(
+        f"above -1 and up to {LARGEST_GROWTH:g}, such as 20% (a fifth longer), or one for each axis"
+    ),
 ]
 #: Position or displacement, (row, col) or (plane, row, col).
 Vector = Annotated[
@@ -136,6 +141,13 @@ Vector = Annotated[
     _AXES,
     BeforeValidator(_plain),
     Words("finite numbers: (row, col), or (plane, row, col) in a volume"),
+]
+#: One number for each axis; in text, with slashes.
+PerAxis = Annotated[
+    tuple[_BOUNDED, ...],
+    _AXES,
+    BeforeValidator(_along_axes),
+    Words("a number for each axis, such as 0.01/0"),
 ]
 #: Paths of a brush, each with one or more positions. A path has many positions, so that only lists
 #: that contain arrays are converted by Python.
@@ -215,4 +227,6 @@ def explain(error: pydantic.ValidationError, names: Sequence[str] = ()) -> str:
         return str(first["ctx"]["error"])
     if first["type"] == _INVALID:
         return f"{name} must be {first['msg']}, not {shown(first['input'])}".lstrip()
+    if first["type"] in ("missing", "missing_argument"):
+        return f"{name} is missing"
     return f"{name}: {first['msg'].lower()}".lstrip(": ")

@@ -35,7 +35,6 @@ from napari_hmrf.io.segmentation_tables import read_label_names
 from napari_hmrf.io.study_file import read_study, replay
 from napari_hmrf.io.tables import (
     measurement_table,
-    named_materials_in_words,
     write_measurements,
     write_named_materials,
 )
@@ -52,7 +51,8 @@ from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.solver.solution import SUM
 from napari_hmrf.solver.solve import solve
 from napari_hmrf.study.models import family_of, parts_of
-from napari_hmrf.tissue.tissue_names import materials_by_name
+from napari_hmrf.tissue.boundary_rules import RIGID, stiffness_in_words
+from napari_hmrf.tissue.tissue_names import KnownTissue, NamedMaterials, materials_by_name
 from napari_hmrf.wording import in_words_of
 
 if TYPE_CHECKING:
@@ -157,10 +157,28 @@ def _materials(options: argparse.Namespace) -> int:
         labels = labels_in(options.labels)
         names = {label: names.get(label, "not in the table") for label in labels}
     materials = materials_by_name(names)
-    print(named_materials_in_words(materials))
+    print(_named_in_words(materials))
     if options.out is not None:
         print(f"written: {write_named_materials(options.out, materials)}")
     return 0
+
+
+def _named_in_words(found: NamedMaterials) -> str:
+    """Return text that lists the labels recognized as each known tissue, and unknown labels."""
+    of_tissue: dict[KnownTissue, list[str]] = {}
+    for row in found.materials:
+        of_tissue.setdefault(found.tissues[row.label], []).append(f"{row.label} {row.name}")
+    lines = []
+    for tissue, labels in of_tissue.items():
+        stiffness = stiffness_in_words(tissue.stiffness, found.unit)
+        values = (
+            f"{stiffness}, nu {tissue.poisson:g}" if 0 < tissue.stiffness < RIGID else stiffness
+        )
+        lines.append(f"{tissue.name} ({values}): {', '.join(labels)}")
+    if found.unknown:
+        labels = [f"{label} {name}" for label, name in found.unknown.items()]
+        lines.append(f"unknown (fill in or remove): {', '.join(labels)}")
+    return "\n".join(lines)
 
 
 def _measure(options: argparse.Namespace) -> int:

@@ -4,20 +4,17 @@ from __future__ import annotations
 
 import argparse
 import re
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NoReturn, get_args
+from typing import Annotated, Any, NoReturn, get_args
+
+from pydantic import BeforeValidator, Field
 
 import napari_hmrf
 from napari_hmrf.arguments import did_you_mean
-from napari_hmrf.checks import POISSON_RANGE
-from napari_hmrf.io.option_types import (
-    count_option,
-    energy_option,
-    lengths_option,
-    poisson_option,
-    positive_option,
-    size_option,
-)
+from napari_hmrf.checks import POISSON_RANGE, Number, Poisson, Positive, Words, convert
+from napari_hmrf.errors import ArgumentError
+from napari_hmrf.io.case_options import OPTIONS
 from napari_hmrf.samples.demo import SAMPLE_SIZE
 from napari_hmrf.samples.head import SAMPLE_SIZE as VOLUME_SIZE
 from napari_hmrf.samples.phantoms import PHANTOM_NAMES, SMALLEST
@@ -28,6 +25,28 @@ from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 
 #: Message of argparse about an unknown word: the argument, the word, and the known words.
 _CHOICE = re.compile(r"(.*?)invalid choice: '?([^' ]*)'? \(choose from (.*)\)$", re.DOTALL)
+#: Length, or range of lengths.
+_LENGTHS = Annotated[
+    Number | Annotated[tuple[Number, Number], BeforeValidator(lambda text: text.split("-"))],
+    Words("a length such as 3, or a range such as 1-4"),
+]
+
+
+def _option(kind: Any) -> Callable[[str], Any]:
+    """Return a function that converts the text of an option to a type of value."""
+
+    def read(text: str) -> Any:
+        try:
+            return convert(kind, text)
+        except ArgumentError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
+
+    return read
+
+
+def _at_least(smallest: int) -> Callable[[str], int]:
+    words = Words(f"a whole number of at least {smallest}")
+    return _option(Annotated[int, Field(ge=smallest), words])
 
 
 class _Parser(argparse.ArgumentParser):
@@ -142,7 +161,7 @@ def parser_of_commands() -> argparse.ArgumentParser:
     _add_material(demo)
     demo.add_argument(
         "--size",
-        type=size_option(SMALLEST),
+        type=_at_least(SMALLEST),
         metavar="N",
         help=f"number of pixels along each side (default: {SAMPLE_SIZE}, the size for which a "
         "finite-element solution is available); for a volume, number of voxels from front to back "
@@ -340,13 +359,13 @@ def _add_uncertainty(commands: Commands) -> None:
     )
     uncertainty.add_argument(
         "--patch",
-        type=positive_option,
+        type=_option(Positive),
         metavar="SIDE",
         help="side of a patch, in the unit of the image (default: 5 %% of its longest side)",
     )
     uncertainty.add_argument(
         "--samples",
-        type=size_option(2),
+        type=_at_least(2),
         default=30,
         metavar="N",
         help="number of random fields from which the standard deviations are estimated; 30 give "
@@ -416,14 +435,14 @@ def _add_solve(commands: Commands) -> None:
     _add_material(solve)
     solve.add_argument(
         "--tolerance",
-        type=energy_option("tolerance"),
+        type=_option(OPTIONS["tolerance"]),
         metavar="PX",
         help="largest estimated error of the field, in pixels (default: 0.001); not available for "
         "the model paper",
     )
     solve.add_argument(
         "--budget",
-        type=energy_option("budget"),
+        type=_option(OPTIONS["budget"]),
         metavar="SOLVES",
         help="largest work of a large-motion solve, in linear solves, or inf for no limit "
         "(default: 60); a solve that takes more ends with the best motion so far and a note on "
@@ -431,14 +450,14 @@ def _add_solve(commands: Commands) -> None:
     )
     solve.add_argument(
         "--penalty",
-        type=energy_option("penalty"),
+        type=_option(OPTIONS["penalty"]),
         metavar="K",
         help="holding force above which boundaries slip (default: boundaries do not slip; the "
         "paper's models use a force that is large enough to prevent slip)",
     )
     solve.add_argument(
         "--weight",
-        type=energy_option("weight"),
+        type=_option(OPTIONS["weight"]),
         metavar="[PLANE/]ROW/COL",
         help="body force on elastic tissue along each axis (of a whole scan: head to foot, front "
         "to back, left to right, in the directions of the file; of a slice: its rows and columns "
@@ -447,7 +466,7 @@ def _add_solve(commands: Commands) -> None:
     )
     solve.add_argument(
         "--cavity",
-        type=energy_option("cavity"),
+        type=_option(OPTIONS["cavity"]),
         metavar="PRESSURE/FLUID/LEVEL",
         help="pressure, in units of stiffness, and fluid on the surface where a rule removes "
         "tissue: weight of the fluid per volume, as in --weight, and its level as a fraction of "
@@ -507,14 +526,14 @@ def _add_register(commands: Commands) -> None:
     _add_targets(register, "--landmarks, in MOVING")
     register.add_argument(
         "--landmark-sd",
-        type=positive_option,
+        type=_option(Positive),
         metavar="SD",
         help="standard deviation of landmarks without one, in the unit of FIXED (default: a pixel)",
     )
     _add_spacing(register)
     register.add_argument(
         "--smoothness",
-        type=positive_option,
+        type=_option(Positive),
         default=1.0,
         metavar="S",
         help="weight of the elastic energy, relative to the usual weight (default: %(default)g); "
@@ -545,7 +564,7 @@ def _add_material(command: argparse.ArgumentParser) -> None:
     low, high = POISSON_RANGE
     command.add_argument(
         "--poisson",
-        type=poisson_option,
+        type=_option(Poisson),
         metavar="NU",
         help=f"Poisson's ratio of all elastic tissue, from {low:g} to {high:g} (default: the "
         f"values in the table of materials, or {USUAL_POISSON})",
@@ -601,7 +620,7 @@ def _add_targets(command: argparse.ArgumentParser, landmarks: str) -> None:
 def _add_spacing(command: argparse.ArgumentParser) -> None:
     command.add_argument(
         "--spacing",
-        type=energy_option("spacing"),
+        type=_option(OPTIONS["spacing"]),
         metavar="[PLANE/]ROW/COLUNIT",
         help="size of a pixel along each axis of a picture whose file does not state it, such as "
         "2.5/0.5/0.5um (default: pixels of size 1)",
@@ -645,7 +664,7 @@ def _add_truth(commands: Commands) -> None:
     )
     truth.add_argument(
         "--amplitude",
-        type=lengths_option,
+        type=_option(_LENGTHS),
         metavar="A|LOW-HIGH",
         help="largest prescribed displacement of each pair, or a range to draw it from, in mm, or "
         "in pixels if the image has no pixel size (default: from 0 to a quarter of the distance "
@@ -722,7 +741,7 @@ def _add_many_commands(commands: Commands) -> None:
     where = batch.add_mutually_exclusive_group()
     where.add_argument(
         "--jobs",
-        type=count_option,
+        type=_at_least(1),
         metavar="N",
         help="number of single-threaded processes (default: one per core)",
     )

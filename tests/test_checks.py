@@ -75,7 +75,7 @@ def test_an_invalid_value_is_refused_with_its_name_and_valid_values(row, name, w
 
 
 def test_a_missing_value_is_named():
-    with pytest.raises(ArgumentError, match="stiffness: "):
+    with pytest.raises(ArgumentError, match="stiffness is missing"):
         Material(1, "gel")
 
 

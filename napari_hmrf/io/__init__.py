@@ -5,8 +5,8 @@ The processing of a case, from its input files to its results, has five steps:
 1. *Read.* `images` reads images and their positions in space. Medical images are read by
    `itk_files`, with `nifti` or `itk_reader`; formats whose readers crash on damaged files are read
    in a `child_process`. `landmark_files` reads points and `fields` reads displacement fields.
-   `tables`, `segmentation_tables` and `material_tables` read the materials of tissue labels and the
-   rules of boundary labels.
+   `tables` and `segmentation_tables` read the materials of tissue labels and the rules of boundary
+   labels.
 2. *Build a study.* `case` combines these files and the `case_options` into a ``Study``;
    `study_file` reads a saved study. `sweeps` replaces single numbers in a study.
 3. *Solve.* The study is converted to a ``Problem``, which is solved to obtain a ``Solution``; see

@@ -46,7 +46,7 @@ from napari_hmrf.io.case_records import (
     output_digests,
 )
 from napari_hmrf.io.case_tables import NamedCase
-from napari_hmrf.io.csv_files import write_csv
+from napari_hmrf.io.table_files import write_csv
 from napari_hmrf.wording import in_words_of
 
 _log = logging.getLogger("napari_hmrf")

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field
 
 from napari_hmrf.arguments import checked_path, tuple_of
+from napari_hmrf.checks import Budget, Choice, PerAxis, Positive, Words
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.field.units import UNKNOWN_UNITS, is_length
+from napari_hmrf.io.images import length_unit
 from napari_hmrf.solver.model_names import ELASTIC, MODELS, as_word
 from napari_hmrf.solver.optimizers import ICM, Multigrid
 from napari_hmrf.solver.priors import Elastic, NeoHookeanPrior, Prior
@@ -23,6 +29,43 @@ from napari_hmrf.tissue.boundary_rules import (
     unlisted,
 )
 from napari_hmrf.tissue.cavity import Cavity
+
+
+def _cavity(value: Any) -> Any:
+    """Create a cavity from text with its pressure, fluid and level."""
+    numbers: Any = value.split("/") if isinstance(value, str) else None
+    return value if numbers is None else Cavity(*numbers)
+
+
+def _spacing(value: Any) -> Any:
+    """Split text into the sizes of a pixel and their unit."""
+    if not isinstance(value, str):
+        return value
+    sizes = "/".join(re.findall(r"[\d.]+", value))
+    unit = length_unit(value.removeprefix(sizes).strip())
+    if unit in UNKNOWN_UNITS or not is_length(unit):
+        raise ValueError("it has no unit of length")
+    return sizes.split("/"), unit
+
+
+#: Types of the options that are not files, texts or flags.
+OPTIONS: dict[str, Any] = {
+    "spacing": Annotated[
+        tuple[Annotated[tuple[Positive, ...], Field(min_length=2, max_length=3)], str],
+        BeforeValidator(_spacing),
+        Words("a size along each axis and a unit, such as 2.5/0.5/0.5um"),
+    ],
+    "plane": Annotated[Plane, Choice()],
+    "tolerance": Positive,
+    "budget": Budget,
+    "penalty": Positive,
+    "weight": PerAxis,
+    "cavity": Annotated[
+        Cavity,
+        BeforeValidator(_cavity),
+        Words("pressure/fluid/level, such as 0/0.00981/0.5"),
+    ],
+}
 
 
 @dataclass(frozen=True)

@@ -18,39 +18,32 @@ semicolons, there is one case for each value. The column ``slice`` also accepts 
 
 from __future__ import annotations
 
-import math
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from itertools import product
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from napari_hmrf.arguments import checked_path
-from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
-from napari_hmrf.field.units import UNKNOWN_UNITS, is_length
-from napari_hmrf.io.case_options import Case
-from napari_hmrf.io.csv_files import read_csv, unknown_column
-from napari_hmrf.io.images import length_unit, read_image, stem_of
-from napari_hmrf.io.sweeps import OF_BOUNDARIES, OF_TISSUES, Change
-from napari_hmrf.io.tables import value_of
+from napari_hmrf.checks import convert
+from napari_hmrf.errors import ArgumentError, FileFormatError, HmrfError
+from napari_hmrf.io.case_options import OPTIONS, Case
+from napari_hmrf.io.images import read_image, stem_of
+from napari_hmrf.io.sweeps import NUMBERS, Change
+from napari_hmrf.io.table_files import read_table, unknown_column
 from napari_hmrf.solver.model_names import MODELS, as_word
-from napari_hmrf.solver.priors.elastic import Plane
-from napari_hmrf.tissue.cavity import Cavity
 
 #: Largest size of a table, in bytes; a larger file is not read.
 _LARGEST = 2**24
 _FILES = "image", "labels", "materials", "boundary", "targets", "rules", "confidence"
-_ENERGY_OPTIONS = "plane", "tolerance", "budget", "penalty", "weight", "cavity"
 _COLUMNS = (
-    *("name", "study", *_FILES, "maps", "forward", "slice", "spacing", "hold-edge"),
-    *("model", "poisson"),
-    *_ENERGY_OPTIONS,
+    *("name", "study", *_FILES, "maps", "forward", "slice", "hold-edge", "model", "poisson"),
+    *OPTIONS,
 )
 #: Columns in which a cell can contain several values, with one case for each value.
-_SWEPT = ("slice", "model", "poisson", *_ENERGY_OPTIONS)
-_NUMBERS = (*OF_TISSUES, *OF_BOUNDARIES)
+_SWEPT = ("slice", "model", "poisson", *(name for name in OPTIONS if name != "spacing"))
 #: Characters that are not allowed in the name of a case.
 _FORBIDDEN = re.compile(r'[\\/:*?"<>|\0-\x1f]')
 #: Characters with a special meaning in shells or other tools; replaced with "_".
@@ -129,9 +122,16 @@ def read_cases(path: str | os.PathLike[str]) -> tuple[NamedCase, ...]:
         If the table cannot be opened.
     """
     source = Path(checked_path(path))
+    table = read_table(source, _LARGEST)
     cases: dict[str, NamedCase] = {}
-    for number, cells in read_csv(source, largest=_LARGEST, check=_titles(source.name)).lines:
-        where = f"{source.name}: line {number}"
+    for title in filter(None, map(_title, table.titles)):
+        kind, _, of = title.partition(":")
+        if not (title in _COLUMNS or (kind in NUMBERS and of)):
+            known = [*_COLUMNS, *(f"{kind}:NAME" for kind in NUMBERS)]
+            raise unknown_column(table.file, title, known)
+    for place, row in table.rows:
+        where = f"{table.file}: {place}"
+        cells = {_title(title): str(cell) for title, cell in row.items()}
         for case in _cases_of(cells, source.parent, where):
             folder = case.name.casefold()  # some file systems ignore case
             if folder in cases:
@@ -141,103 +141,16 @@ def read_cases(path: str | os.PathLike[str]) -> tuple[NamedCase, ...]:
                 )
             cases[folder] = case
     if not cases:
-        raise FileFormatError(f"{source.name} has no lines below the column titles. Add a case.")
+        raise FileFormatError(
+            f"{table.file} has no rows. Give the column titles, and a case below."
+        )
     return tuple(cases.values())
 
 
-def _titles(file: str) -> Callable[[list[str], int], list[str]]:
-    """Return a function for `read_csv` that raises an error if a column is unknown or missing."""
-
-    def check(written: list[str], line: int) -> list[str]:
-        titles = [_title(cell) for cell in written]
-        for title in filter(None, titles):
-            kind, _, of = title.partition(":")
-            if not (title in _COLUMNS or (kind in _NUMBERS and of)):
-                raise unknown_column(
-                    file, line, title, [*_COLUMNS, *map(_sweep_of_named, _NUMBERS)]
-                )
-        if not {"image", "study"} & set(titles):
-            raise FileFormatError(
-                f"{file}: line {line} lacks the column 'image'. Give the column titles, separated "
-                f"by commas: {', '.join(_COLUMNS)}."
-            )
-        return titles
-
-    return check
-
-
-def read_energy(name: str, text: str) -> Any:
-    """Convert the text of an option that defines the energy of a case.
-
-    Parameters
-    ----------
-    name : {"plane", "tolerance", "budget", "penalty", "weight", "cavity", "spacing"}
-    text : str
-        Text from a shell or a table. The components of a weight, and the pressure, the fluid and
-        the level of a cavity, are separated by slashes.
-
-    Returns
-    -------
-    str, float, tuple of float or Cavity
-        Value of the option.
-
-    Raises
-    ------
-    ValueError
-        If the text is invalid; the message describes valid text.
-    """
-    if name == "plane":
-        if text.casefold() not in get_args(Plane):
-            raise ValueError(" or ".join(get_args(Plane)))
-        return text.casefold()
-    if name == "spacing":
-        return _spacing(text)
-    try:
-        numbers = tuple(float(part) for part in text.split("/"))
-    except ValueError:
-        numbers = ()
-    if name == "weight":
-        if len(numbers) not in (2, 3) or not all(map(math.isfinite, numbers)):
-            raise ValueError("a number for each axis, such as 0.01/0")
-        return numbers
-    if name == "cavity":
-        right = "pressure/fluid/level, such as 0/0.00981/0.5"
-        if not 1 <= len(numbers) <= len(fields(Cavity)):
-            raise ValueError(right)
-        try:
-            return Cavity(*numbers)
-        except ProblemError:
-            raise ValueError(right) from None
-    if name == "budget" and numbers == (math.inf,):
-        return math.inf
-    if len(numbers) != 1 or not 0 < numbers[0] < math.inf:
-        raise ValueError("a number above 0")
-    return numbers[0]
-
-
-def _spacing(text: str) -> tuple[tuple[float, ...], str]:
-    """Return the sizes of a pixel and their unit."""
-    sizes = re.findall(r"[\d.]+", text)
-    unit = length_unit(text[len("/".join(sizes)) :].strip())
-    try:
-        numbers = tuple(map(float, sizes))
-    except ValueError:
-        numbers = ()
-    is_right = len(numbers) in (2, 3) and all(numbers) and text.startswith("/".join(sizes))
-    if not is_right or unit in UNKNOWN_UNITS or not is_length(unit):
-        raise ValueError("a size along each axis and a unit, such as 2.5/0.5/0.5um")
-    return numbers, unit
-
-
-def _sweep_of_named(kind: str) -> str:
-    """Return the title of a column for a tissue or boundary, as listed in error messages."""
-    return f"{kind}:NAME"
-
-
 def _title(cell: str) -> str:
-    """Return a normalized column title; the capitalization of a name after a colon is preserved."""
+    """Return the title of a column with hyphens; the name after a colon is unchanged."""
     kind, colon, of = cell.partition(":")
-    return f"{kind.strip().casefold().replace('_', '-')}{colon}{of.strip()}"
+    return f"{kind.replace('_', '-')}{colon}{of}"
 
 
 def _cases_of(cells: dict[str, str], folder: Path, where: str) -> Iterator[NamedCase]:
@@ -312,12 +225,11 @@ def _named_case(name: str, cells: dict[str, str], folder: Path, where: str) -> N
     for title, text in flags.items():
         if text not in (*_YES, *_NO):
             raise refuse(title, "yes or no")
-    for title in ("spacing", *_ENERGY_OPTIONS):
-        if title in cells:
-            try:
-                files[title] = read_energy(title, cells[title])
-            except ValueError as error:
-                raise refuse(title, str(error)) from None
+    files |= {
+        title: _converted(OPTIONS[title], title, cells[title], where)
+        for title in OPTIONS
+        if title in cells
+    }
     number = cells.get("slice")
     if number is not None and not number.isdecimal():
         raise refuse("slice", "a whole number, 3-7, or all")
@@ -338,9 +250,13 @@ def _named_case(name: str, cells: dict[str, str], folder: Path, where: str) -> N
                 changes.insert(0, Change("model", model))
             else:
                 case = replace(case, model=cells[title])
-        elif title == "poisson" or kind in _NUMBERS:
-            try:
-                changes.append(Change(kind, value_of(kind, cells[title]), of))
-            except ValueError as error:
-                raise refuse(title, str(error)) from None
+        elif title == "poisson" or kind in NUMBERS:
+            changes.append(Change(kind, _converted(NUMBERS[kind], title, cells[title], where), of))
     return NamedCase(name, case, tuple(changes), cells)
+
+
+def _converted(kind: Any, title: str, cell: str, where: str) -> Any:
+    try:
+        return convert(kind, cell, title)
+    except ArgumentError as error:
+        raise FileFormatError(f"{where}: {error}.") from None

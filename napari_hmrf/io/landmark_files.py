@@ -15,14 +15,13 @@ with patient coordinates.
 
 from __future__ import annotations
 
-import codecs
 import csv
 import io
 import json
 import math
 import os
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -33,7 +32,7 @@ from napari_hmrf.arguments import checked_path, checked_target, did_you_mean
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError, ProblemError
 from napari_hmrf.field.units import unit_factor
-from napari_hmrf.regular_file import read_at_most
+from napari_hmrf.io.table_files import read_cells, text_of
 from napari_hmrf.solver.problem import as_numbers
 
 Points = npt.NDArray[np.float64]
@@ -43,8 +42,9 @@ POINT_SUFFIXES = (".csv", ".mrk.json", ".fcsv")
 # Numbers of columns of BigWarp's format in two and three dimensions; one more is added to its
 # columns for standard deviations.
 _PAIR_COLUMNS = 6, 7, 8, 9
-#: First bytes of UTF-16 text.
-_UTF_16 = codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE
+#: Texts of BigWarp's column that states whether a pair is in use, and a title of this column.
+_ACTIVE = "true", "false"
+_TITLE = "active"
 #: Largest size of a file, in bytes; a larger file is not read.
 _LARGEST = 2**26
 #: Factors that convert the coordinates of each system to left, posterior, superior.
@@ -113,16 +113,14 @@ def read_points(path: str | os.PathLike[str]) -> LandmarkFile:
     """
     source = Path(checked_path(path))
     suffix, name = _suffix(source), source.name
-    content = read_at_most(source, _LARGEST)
-    if content is None:
-        raise FileFormatError(f"{name} is too large to be a landmark file.")
-    if content.startswith(_UTF_16):
-        raise FileFormatError(f"{name}: not a landmark file: it is UTF-16 text. Save it as UTF-8.")
+    parse: Callable[[], LandmarkFile]
+    if suffix == ".csv":
+        parse = partial(_parse_csv, read_cells(source, _LARGEST))
+    else:
+        text = text_of(source, _LARGEST)
+        parse = partial(_parse_markups if suffix == ".mrk.json" else _parse_fiducials, text)
     try:
-        text = content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
-        landmarks = {".csv": _parse_csv, ".mrk.json": _parse_markups, ".fcsv": _parse_fiducials}[
-            suffix
-        ](text)
+        landmarks = parse()
     except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError) as error:
         reason = (
             str(error)
@@ -204,13 +202,10 @@ def is_landmark_file(path: str | os.PathLike[str]) -> bool:
     if not name.endswith(".csv"):
         return name.endswith(POINT_SUFFIXES)
     try:
-        with open(path, "rb") as file:
-            start = file.read(10_000)
-    except OSError:
+        first = _filled(read_cells(Path(path), _LARGEST))[:1]
+    except (OSError, FileFormatError):
         return False
-    text = start.decode("utf-16" if start.startswith(_UTF_16) else "utf-8-sig", "replace")
-    cells = re.split(r"[,;\t\r\n]", text.lstrip().casefold())
-    return len(cells) > 1 and cells[1].strip('" ') in ("true", "false", "active")
+    return any(len(row) > 1 and row[1].casefold() in (*_ACTIVE, _TITLE) for row in first)
 
 
 def write_points(
@@ -323,19 +318,16 @@ def _in_space(points: Points) -> Points:
     return np.pad(points, ((0, 0), (3 - points.shape[1], 0)))
 
 
-def _parse_csv(text: str) -> LandmarkFile:
-    rows = [row for row in csv.reader(io.StringIO(text)) if any(map(str.strip, row))]
+def _filled(lines: Sequence[tuple[int, list[str]]]) -> list[list[str]]:
+    return [cells for _, cells in lines if any(cells)]
+
+
+def _parse_csv(lines: Sequence[tuple[int, list[str]]]) -> LandmarkFile:
+    rows = _filled(lines)
     if not rows:
         raise _InvalidContent("it is empty")
-    start = text.lstrip().partition("\n")[0]
-    for separator, name in ((";", "semicolons"), ("\t", "tabs")):
-        if separator in start and start.count(separator) > len(rows[0]) // 2:
-            raise _InvalidContent(
-                f"its columns are separated by {name}. Save it with commas between columns, and "
-                "with points in decimal numbers"
-            )
-    if rows[0][0].strip().casefold() == "index":  # napari's format
-        titles = [title.strip().casefold() for title in rows[0][1:]]
+    if rows[0][0].casefold() == "index":  # napari's format
+        titles = [title.casefold() for title in rows[0][1:]]
         has_sd = titles[-1:] == ["sd"]
         titles = titles[: len(titles) - has_sd]
         axes = [f"axis-{axis}" for axis in range(3)]
@@ -363,12 +355,12 @@ def _parse_csv(text: str) -> LandmarkFile:
             "standard deviations"
         )
     for number, row in enumerate(rows, 1):
-        if row[1].strip().casefold() not in ("true", "false"):
+        if row[1].casefold() not in _ACTIVE:
             raise _InvalidContent(
                 f"landmark {number}: the second column is {row[1][:40]!r}, but must be true or "
                 "false. BigWarp's files have no column titles"
             )
-    active = [row for row in rows if row[1].strip().casefold() == "true"]
+    active = [row for row in rows if row[1].casefold() == "true"]
     for number, row in enumerate(active, 1):
         if wrong := next((cell for cell in row[2 : 2 + 2 * n] if not _is_finite(cell)), None):
             raise _InvalidContent(
@@ -391,7 +383,7 @@ def _is_finite(cell: str) -> bool:
 
 def _spreads(cells: Sequence[str]) -> npt.NDArray[np.float64]:
     """Return a column of standard deviations, with 0 for empty cells."""
-    return np.array([cell.strip() or "0" for cell in cells], float)
+    return np.array([cell or "0" for cell in cells], float)
 
 
 def _as_csv(

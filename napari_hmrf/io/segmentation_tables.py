@@ -19,12 +19,12 @@ from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
+from pydantic_core import from_json
+
 from napari_hmrf.arguments import checked_path
 from napari_hmrf.errors import FileFormatError
-from napari_hmrf.io.csv_files import read_cells, text_of, unknown_column
-from napari_hmrf.io.material_tables import FORMAT, read_preset
-from napari_hmrf.io.tables import MATERIAL_COLUMNS, read_materials
-from napari_hmrf.regular_file import read_at_most
+from napari_hmrf.io.table_files import Table, read_table, text_of, unknown_column
+from napari_hmrf.io.tables import read_preset
 from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.tissue_names import NamedMaterials, materials_by_name
 
@@ -37,7 +37,7 @@ _LABELS = "label", "labelvalue", "label value", "value", "index", "id", "no.", "
 #: Titles of name columns in a .csv, in lower case.
 _NAMES = "name", "label name", "labelname", "structure", "segment", "tissue", "region", "class"
 #: Columns that occur only in tables of materials.
-_OF_MATERIALS = tuple(name for name in MATERIAL_COLUMNS if name not in ("label", "name"))
+_OF_MATERIALS = "stiffness", "poisson", "growth", "slides", "source"
 #: Other columns in tables of label names: colours, descriptions, and terms of 3D Slicer.
 _OTHER_COLUMNS = re.compile(
     r"(colou?r[ _]?)?(r|g|b|a|red|green|blue|alpha)|colou?r|hex|opacity|visib(le|ility)"
@@ -81,7 +81,7 @@ def read_label_names(path: str | os.PathLike[str]) -> dict[int, str]:
     source = Path(checked_path(path))
     ending = source.suffix.lower()
     if ending == ".csv":
-        rows = _of_cells(source)
+        rows = _of_cells(read_table(source, _LARGEST))
     elif ending == ".json":
         rows = _of_json(_text(source, ending), source.name)
     elif ending == ".nrrd":
@@ -129,9 +129,8 @@ def tissue_table(path: str | os.PathLike[str]) -> NamedMaterials | Preset:
     """
     source = Path(checked_path(path))
     ending = source.suffix.lower()
-    if ending == ".csv" and not _is_of_names(source):
-        return Preset(source.stem, "", f"the file {source.name}", read_materials(source))
-    if ending == ".json" and (source.stat().st_size > _LARGEST or _is_preset_file(source)):
+    is_table = {".csv": lambda: not _is_of_names(source), ".json": lambda: _is_preset_file(source)}
+    if ending in is_table and is_table[ending]():
         return read_preset(source)
     found = materials_by_name(read_label_names(source), name=source.stem)
     if not any(row.stiffness for row in found.materials):
@@ -153,16 +152,9 @@ def _text(source: Path, ending: str) -> str:
     return text_of(source, _LARGEST)
 
 
-def _header(source: Path) -> tuple[int, list[str], list[tuple[int, list[str]]]]:
-    """Return the titles of a .csv with their line number, and the non-empty lines below."""
-    rows = [(line, cells) for line, cells in read_cells(source, _LARGEST) if any(cells)]
-    line, titles = rows[0] if rows else (1, [])
-    return line, [title.casefold() for title in titles], rows[1:]
-
-
 def _is_of_names(source: Path) -> bool:
     """Return whether a .csv is a table of label names, according to its columns."""
-    _, titles, _ = _header(source)
+    titles = read_table(source, _LARGEST).titles
     has_columns = [any(title in titles for title in known) for known in (_LABELS, _NAMES)]
     return all(has_columns) and not any(map(_is_foreign_column, titles))
 
@@ -174,40 +166,37 @@ def _is_foreign_column(title: str) -> bool:
 
 
 def _is_preset_file(source: Path) -> bool:
-    """Return whether a .json is a material file; also True if the file is not valid JSON."""
+    """Return whether a .json is a table of materials; also True if the file is not valid JSON."""
     try:
-        content = json.loads(read_at_most(source, _LARGEST) or b"")
+        content = from_json(text_of(source, _LARGEST))
     except ValueError:
         return True
-    return (
-        not isinstance(content, dict) or "materials" in content or content.get("format") == FORMAT
-    )
+    return not isinstance(content, dict) or "materials" in content
 
 
-def _of_cells(source: Path) -> Iterable[tuple[int, str]]:
-    line, titles, rows = _header(source)
-    for title in filter(_is_foreign_column, titles):
+def _of_cells(table: Table[dict[str, Any]]) -> Iterable[tuple[int, str]]:
+    for title in filter(_is_foreign_column, table.titles):
         if title in _OF_MATERIALS:
             raise FileFormatError(
-                f"{source.name}: line {line}: a table of label names has no column {title!r}. Use "
-                "the file as a table of materials, or remove the column."
+                f"{table.file}: a table of label names has no column {title!r}. Use the file as a "
+                "table of materials, or remove the column."
             )
-        raise unknown_column(source.name, line, title, ["label", "name", *_OF_MATERIALS])
-    label_at, name_at = (
-        next((titles.index(title) for title in known if title in titles), None)
+        raise unknown_column(table.file, title, ["label", "name", *_OF_MATERIALS])
+    label_title, name_title = (
+        next((title for title in known if title in table.titles), None)
         for known in (_LABELS, _NAMES)
     )
-    if label_at is None or name_at is None:
+    if label_title is None or name_title is None:
         return
-    for number, cells in rows:
-        label = _as_label(cells[label_at]) if len(cells) > label_at else None
+    for place, cells in table.rows:
+        written = cells.get(label_title, "")
+        label = _as_label(written)
         if label is None:
-            written = cells[label_at] if len(cells) > label_at else ""
             raise FileFormatError(
-                f"{source.name}: line {number}: {titles[label_at]} is {written[:40]!r}. Give a "
-                "whole number, 0 or more."
+                f"{table.file}: {place}: {label_title} is {written[:40]!r}. Give a whole number, 0 "
+                "or more."
             )
-        yield label, cells[name_at] if len(cells) > name_at else ""
+        yield label, cells.get(name_title, "")
 
 
 def _of_json(text: str, file: str) -> Iterable[tuple[int, str]]:
@@ -216,7 +205,7 @@ def _of_json(text: str, file: str) -> Iterable[tuple[int, str]]:
     The mapping can be from labels to names or from names to labels.
     """
     try:
-        content = json.loads(text)
+        content = from_json(text)
     except ValueError:
         return ()
     return _of_mapping(content, file)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
+from napari_hmrf.checks import Growth, Number, Poisson, Stiffness
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.solver.priors import Elastic
 from napari_hmrf.study.models import parts_of
@@ -19,10 +20,8 @@ from napari_hmrf.tissue.boundary_rules import (
 )
 from napari_hmrf.tissue.tissue_names import lookup_tissue
 
-#: Names of tissue properties that can be changed.
-OF_TISSUES = "growth", "stiffness", "poisson"
-#: Names of boundary properties that can be changed.
-OF_BOUNDARIES = ("amount",)
+#: Type of each property of tissues and boundaries that can be changed.
+NUMBERS = {"growth": Growth, "stiffness": Stiffness, "poisson": Poisson, "amount": Number}
 
 
 class Change(NamedTuple):
@@ -65,7 +64,7 @@ def _changed(study: Study, change: Change) -> Study:
         return replace(study, prior=prior, optimizer=optimizer)
     if change.what == "poisson" and not isinstance(study.prior, Elastic):
         raise HmrfError("poisson requires elastic tissue: the paper's model has no Poisson's ratio")
-    if change.what in OF_BOUNDARIES:
+    if change.what == "amount":
         motion = study.motion
         rules = _edited(motion.rules, change, lambda rule: _with_amount(rule, change.value))
         return replace(study, motion=replace(motion, rules=rules))
@@ -92,7 +91,7 @@ def _edited(rows: Sequence[Any], change: Change, edit: Callable[[Any], Any]) -> 
     """Return the rows of a table, after applying `edit` to the rows that a change refers to."""
     matching = _matching_rows(rows, change.of)
     if not matching:
-        kind = "boundary" if change.what in OF_BOUNDARIES else "tissue"
+        kind = "boundary" if change.what == "amount" else "tissue"
         known = ", ".join(f"{row.label} {row.name}".strip() for row in rows) or "none"
         raise HmrfError(
             f"{change.what}:{change.of}: there is no such {kind}. Use one of these: {known}"

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from napari_hmrf.field.brightness import edge_confidence, luminance
-    from napari_hmrf.io.material_tables import read_preset, write_preset
     from napari_hmrf.io.segmentation_tables import read_label_names
+    from napari_hmrf.io.tables import read_preset, write_preset
     from napari_hmrf.solver.sliding_parts import SlidingParts
     from napari_hmrf.tissue.boundary_rules import (
         RIGID,
@@ -71,10 +71,10 @@ _HOMES = {
     "materials_by_name": "napari_hmrf.tissue.tissue_names",
     "poisson_image": "napari_hmrf.tissue.boundary_rules",
     "read_label_names": "napari_hmrf.io.segmentation_tables",
-    "read_preset": "napari_hmrf.io.material_tables",
+    "read_preset": "napari_hmrf.io.tables",
     "sliding_precision": "napari_hmrf.tissue.sliding",
     "stiffness_image": "napari_hmrf.tissue.boundary_rules",
-    "write_preset": "napari_hmrf.io.material_tables",
+    "write_preset": "napari_hmrf.io.tables",
 }
 
 

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.arguments import real, shown
+from napari_hmrf.checks import NotNegative, Number, checked
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.body_forces import cavity
 from napari_hmrf.solver.loads import Loads
 
 
-@dataclass(frozen=True)
+@checked
 class Cavity:
     """Load on the surface of the cavity that remains where tissue is removed.
 
@@ -36,26 +35,13 @@ class Cavity:
 
     Raises
     ------
-    ProblemError
-        If the pressure is not a finite number, or the fluid or the level is not a finite number of
-        at least 0.
+    ArgumentError
+        If a value is invalid; the message states valid values.
     """
 
-    pressure: float = 0.0
-    fluid: float = 0.0
-    level: float = 1.0
-
-    def __post_init__(self) -> None:
-        for name, least, give in (
-            ("pressure", -math.inf, "a number, such as 0.1, or 0 for none"),
-            ("fluid", 0.0, "a number above 0, such as 0.00981, or 0 for none"),
-            ("level", 0.0, "a fraction of the height of the cavity, such as 1 if it is full"),
-        ):
-            value = real(getattr(self, name))
-            if not (math.isfinite(value) and value >= least):
-                given = shown(getattr(self, name))
-                raise ProblemError("cavity", f"has the {name} {given}. Pass {give}.")
-            object.__setattr__(self, name, value)
+    pressure: Number = 0.0
+    fluid: NotNegative = 0.0
+    level: NotNegative = 1.0
 
     @property
     def acts(self) -> bool:

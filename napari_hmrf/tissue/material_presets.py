@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.checks import Text, checked
 from napari_hmrf.resources import resource_folder
 from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.tissue.boundary_rules import (
@@ -28,7 +29,7 @@ OTHER = -1
 _VOID = Material(0, "no tissue", 0.0)
 
 
-@dataclass(frozen=True)
+@checked
 class Preset:
     """Published materials from one source.
 
@@ -45,9 +46,9 @@ class Preset:
     materials : tuple of Material
     """
 
-    name: str
-    unit: str
-    source: str
+    name: Text
+    unit: Text
+    source: Text
     materials: tuple[Material, ...]
 
     def __repr__(self) -> str:

@@ -92,7 +92,7 @@ class SoftTissue(DockValues):
         Adds the layers of a saved study, and restores its settings. Raises the same errors as
         `read_study`.
     save_materials : callable
-        Saves the tissue table to a path; see `material_tables.write_preset`. Returns the `Path` of
+        Saves the tissue table to a path; see `tables.write_preset`. Returns the `Path` of
         the file.
     take_materials : callable
         Copies a `Preset`, the table of another Labels layer, or a file into the table of the

@@ -20,8 +20,8 @@ from qtpy.QtWidgets import QFileDialog, QMenu, QPushButton
 
 from napari_hmrf.errors import LayerError
 from napari_hmrf.field.directions import Directions
-from napari_hmrf.io.material_tables import ENDING, write_preset
 from napari_hmrf.io.segmentation_tables import ENDINGS, tissue_table
+from napari_hmrf.io.tables import ENDING, write_preset
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, table_of, tissue_recorded
 from napari_hmrf.notes import Note
 from napari_hmrf.solver.model_advice import ABOUT_POISSON

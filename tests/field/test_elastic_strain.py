@@ -20,9 +20,10 @@ from napari_hmrf.field.elastic_strain import strain_note
 from napari_hmrf.field.quantities import title_and_unit, values_of
 from napari_hmrf.field.tissue_point import Points
 from napari_hmrf.fields import equivalent_strain
-from napari_hmrf.io.tables import measurement_table, measurements_in_words, write_measurements
+from napari_hmrf.io.tables import measurement_table, write_measurements
 from napari_hmrf.loads import Loads, growth
 from napari_hmrf.random import RandomDeformation
+from napari_hmrf.ui.result.result_tables import measurements_in_words
 
 NU = 0.45
 TIGHT = Multigrid(1e-4)

@@ -123,10 +123,10 @@ def test_a_cell_with_several_values_makes_one_case_per_value(files):
 
 #: Tables with an error, and the line that the message names, or 0.
 INVALID = [
-    ("", 1),
+    ("", 0),
     ("image\n", 0),
-    ("image,growth\na.tif,1\n", 1),
-    ("image,lables\na.tif,b\n", 1),
+    ("image,growth\na.tif,1\n", 0),
+    ("image,lables\na.tif,b\n", 0),
     ("image,image\na.tif,b\n", 0),
     ("image\na.tif\na.png\n", 3),
     ("name,image\na/b,a.tif\n", 2),

@@ -83,8 +83,8 @@ def test_tables_saved_by_a_spreadsheet_are_read(files):
 
 #: Tables of materials with an error, and the line that the message names, or 0.
 INVALID_MATERIALS = [
-    ("", 1),
-    ("label,name\n1,brain\n", 1),
+    ("", 0),
+    ("label,name\n1,brain\n", 2),
     ("label,stiffness\n1,stiff\n", 2),
     ("label,stiffness\n1,3\nx,3\n", 3),
     ("label,stiffness\n1,\n", 2),
@@ -92,8 +92,7 @@ INVALID_MATERIALS = [
     ("label,stiffness\n", 0),
     ("label,stiffness\n\n1,3\n\n1,4\n", 5),
     ("label,stiffness\n1,3,4\n", 2),
-    ("label;stiffness\n1;3\n", 1),
-    ("label,stiffness,poison\n1,3,.4\n", 1),
+    ("label,stiffness,poison\n1,3,.4\n", 0),
     ("label,stiffness,poisson\n1,3,0.4\n2,3,0.7\n", 3),
 ]
 
@@ -219,9 +218,9 @@ INVALID_RULES = [
     ("label,action,amount\n1,fixed,3\n", 2),
     ("label,action,row,col,amount\n1,move,1,0,3\n", 2),
     ("label,action,amount,confidence\n1,press,1,0.5\n", 2),
-    ("label,action,row,row2\n1,move,1,\n", 1),
-    ("label,stiffness\n1,3\n", 1),
-    ("label,action,dx\n1,move,1\n", 1),
+    ("label,action,row,row2\n1,move,1,\n", 0),
+    ("label,stiffness\n1,3\n", 0),
+    ("label,action,dx\n1,move,1\n", 0),
     ("label,action,confidence\n1,slide,0.5\n", 2),
     ("label,action,amount\n1,remove,0.5\n", 2),
 ]

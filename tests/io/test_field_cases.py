@@ -28,6 +28,7 @@ from napari_hmrf.io.case_options import Case
 from napari_hmrf.io.dicom_slices import check_regular
 from napari_hmrf.io.images import is_scan, read_image, write_image
 from napari_hmrf.io.itk_image import Unreadable
+from napari_hmrf.io.landmark_files import is_landmark_file
 from napari_hmrf.io.registration_files import relative_place
 from napari_hmrf.io.segmentation_tables import read_label_names
 from napari_hmrf.landmarks import read_points, write_points
@@ -424,25 +425,22 @@ def test_points_of_slicer_are_read_in_their_unit(tmp_path, unit):
             read_points(path)
 
 
-#: Names, texts and encodings of landmark files that are refused, with their reasons.
+#: Names and texts of landmark files that are refused, with their reasons.
 LANDMARKS = [
-    ("a.csv", "Pt;true;1;2;3;4\n", "utf-8", "semicolons"),
-    ("a.csv", "Pt\ttrue\t1\t2\t3\t4\n", "utf-8", "tabs"),
-    ("a.csv", 'Pt,true,"1,5",2,3,4\n', "utf-8", "decimal point"),
-    ("a.csv", "Pt,true,Infinity,2,3,4\n", "utf-8", "Infinity"),
-    ("a.csv", "name,active,mx,my,fx,fy\nPt,true,1,2,3,4\n", "utf-8", "no column titles"),
-    ("a.csv", "Pt,true,1,2,3,4\n", "utf-16", "UTF-16"),
-    ("a.fcsv", "1,4,2,0\n", "utf-8", "CoordinateSystem"),
-    ("a.fcsv", "# CoordinateSystem = IJK\n1,4,2,0\n", "utf-8", "LPS or RAS"),
-    ("a.mrk.json", '{"markups": [{"controlPoints": []}]}', "utf-8", "coordinateSystem"),
-    ("a.mrk.json", '{"markups": [{}, {}]}', "utf-8", "2 lists"),
+    ("a.csv", 'Pt,true,"1,5",2,3,4\n', "decimal point"),
+    ("a.csv", "Pt,true,Infinity,2,3,4\n", "Infinity"),
+    ("a.csv", "name,active,mx,my,fx,fy\nPt,true,1,2,3,4\n", "no column titles"),
+    ("a.fcsv", "1,4,2,0\n", "CoordinateSystem"),
+    ("a.fcsv", "# CoordinateSystem = IJK\n1,4,2,0\n", "LPS or RAS"),
+    ("a.mrk.json", '{"markups": [{"controlPoints": []}]}', "coordinateSystem"),
+    ("a.mrk.json", '{"markups": [{}, {}]}', "2 lists"),
 ]
 
 
-@pytest.mark.parametrize(("name", "text", "encoding", "reason"), LANDMARKS)
-def test_other_landmark_files_are_refused_with_their_reason(tmp_path, name, text, encoding, reason):
+@pytest.mark.parametrize(("name", "text", "reason"), LANDMARKS)
+def test_other_landmark_files_are_refused_with_their_reason(tmp_path, name, text, reason):
     path = tmp_path / name
-    path.write_text(text, encoding)
+    path.write_text(text)
     for read in (read_points, open_landmarks(str(path))):
         with pytest.raises(FileFormatError, match=reason):
             read(str(path))
@@ -466,6 +464,14 @@ def test_pairs_are_read_from_two_files_of_slicer(tmp_path):
         assert error.value.field == "other.fcsv"
     with pytest.raises(ProblemError, match="--targets"):
         read_case(Case(tmp_path / "a.nrrd", boundary=one))
+
+
+@pytest.mark.parametrize("text", ["Pt;true;1,5;2;3;4\n", "Pt\ttrue\t1.5\t2\t3\t4\n"])
+def test_landmarks_with_other_separators_are_read(tmp_path, text):
+    path = tmp_path / "a.csv"
+    path.write_text(text)
+    assert is_landmark_file(path)
+    np.testing.assert_array_equal(read_points(path).points, [[2.0, 1.5]])
 
 
 def solution_of(displacement, frame=None, spacing=(1.0, 1.0)):

@@ -1,6 +1,7 @@
 """Tests of material files and of presets that replace a table."""
 
 import json
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -9,7 +10,7 @@ import pytest
 from napari.layers import Image, Labels
 
 from napari_hmrf.errors import FileFormatError
-from napari_hmrf.io.material_tables import read_preset, write_preset
+from napari_hmrf.io.tables import read_preset, write_preset
 from napari_hmrf.layers.metadata import (
     METADATA,
     TISSUE,
@@ -42,60 +43,48 @@ def test_a_material_file_is_readable_text(tmp_path):
     assert path.name == "mine.json"
     text = path.read_text(encoding="utf-8")
     assert '"name": "liver, größer"' in text
-    assert json.loads(text)["version"] == 4
+    assert json.loads(text)["materials"][1]["stiffness"] == 5.4
 
 
 def test_missing_keys_of_a_material_file_have_defaults(tmp_path):
     path = tmp_path / "by hand.json"
-    rows = [{"label": 1, "stiffness": 3}]
-    path.write_text(
-        json.dumps({"format": "napari-hmrf materials", "version": 4, "materials": rows})
-    )
-    assert read_preset(path) == Preset("by hand", "", "", (Material(1, "", 3.0, 0.45),))
+    expected = Preset("by hand", "", "the file by hand.json", (Material(1, "tissue 1", 3.0),))
+    for rows in ([{"label": 1, "stiffness": 3}], [{"label": 1, "stiffness": "3", "source": "me"}]):
+        for content in (rows, {"materials": rows}):
+            path.write_text(json.dumps(content))
+            assert read_preset(path) == expected
 
 
 def spoilt(**changes):
-    values = {"format": "napari-hmrf materials", "version": 4, "name": "a", "unit": "kPa"}
     row = {"label": 1, "name": "gel", "stiffness": 2.0, "poisson": 0.4}
-    of_row = {key: value for key, value in changes.items() if key in row and key != "name"}
-    rows = [{**row, **of_row}]
-    return {**values, "materials": rows, **{k: v for k, v in changes.items() if k not in of_row}}
+    return {"name": "a", "unit": "kPa", "materials": [row, {**row, "label": 2, **changes}]}
 
 
-#: Contents of invalid files, and the key or the value that the message names.
+#: Contents of invalid files, and text of the message.
 INVALID = [
-    ([], "format"),
-    ({"format": "something else"}, "format"),
-    (spoilt(version=5), "format 5"),
-    (spoilt(version="1"), "version"),
-    (spoilt(version=True), "version"),
-    (spoilt(unit=3), "unit"),
-    (spoilt(materials=[]), "material"),
-    (spoilt(materials=[5]), "material 1"),
-    (spoilt(materials=[{"label": 1}]), "stiffness"),
-    (spoilt(label=-1), "material 1 label"),
-    (spoilt(label=1.5), "label"),
-    (spoilt(label=True), "label"),
-    (spoilt(stiffness="stiff"), "stiffness"),
-    (spoilt(stiffness=-2), "stiffness"),
-    (spoilt(stiffness=float("nan")), "stiffness"),
-    (spoilt(stiffness=10**400), "stiffness"),
-    (spoilt(stiffness=float("inf")), "stiffness"),
-    (spoilt(stiffness="inf"), "stiffness"),
-    (spoilt(stiffness=0), "stiffness"),
-    (spoilt(poisson=0.5), "poisson"),
-    (spoilt(poisson=None), "poisson"),
-    (spoilt(materials=[{"label": 0, "stiffness": 1}] * 2), "label 0"),
+    ([], "has no rows"),
+    ({"materials": []}, "has no rows"),
+    (5, "not a table"),
+    ({"materials": [5]}, "not a table"),
+    ({"materials": [{"label": 1, "stiffness": 1}], "unit": 3}, "unit must be text"),
+    ({"materials": [{"label": 1, "stiffness": 1}], "untit": "kPa"}, "untit"),
+    ({"materials": [{"label": 1}]}, "row 1: stiffness is missing"),
+    ({"materials": [{"label": 1, "stiffness": 0}]}, "no stiffness above 0"),
+    (spoilt(label=1), "row 2: label 1 occurs twice"),
+    (spoilt(label=1.5), "row 2: label must be"),
+    (spoilt(stiffness="stiff"), "row 2: stiffness must be"),
+    (spoilt(stiffness=float("inf")), "not valid JSON"),
+    (spoilt(poisson=0.5), "row 2: poisson must be a number from 0 to 0.499, not 0.5"),
+    (spoilt(poison=0.5), "there is no column 'poison'. Did you mean 'poisson'?"),
 ]
 
 
-def test_an_invalid_material_file_is_refused_by_its_name_and_key(tmp_path):
+def test_an_invalid_material_file_is_refused_by_its_name_and_row(tmp_path):
     path = tmp_path / "table.json"
-    for values, name in INVALID:
+    for values, said in INVALID:
         path.write_text(json.dumps(values))
-        with pytest.raises(FileFormatError, match=r"^table\.json ") as error:
+        with pytest.raises(FileFormatError, match=rf"^table\.json.*{re.escape(said)}"):
             read_preset(path)
-        assert name in str(error.value)
 
 
 SKULL = Preset("Head", "kPa", "", (Material(1, "brain", 3.0), Material(2, "skull", float("inf"))))

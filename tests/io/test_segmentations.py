@@ -155,9 +155,8 @@ def test_an_invalid_table_of_names_is_refused(tmp_path):
 
 def test_a_misspelt_column_is_not_replaced_by_published_values(tmp_path):
     for file, content, place in (
-        ("a.csv", "label,name,young\n1,brain,3\n", "line 1"),
-        ("a.csv", "\nlabel,name,stiffnes\n1,brain,3\n", "line 2"),
-        ("a.csv", "label;name\n1;brain\n", "line 1"),
+        ("a.csv", "label,name,young\n1,brain,3\n", "there is no column 'young'"),
+        ("a.csv", "label,name,stiffnes\n1,brain,3\n", "there is no column 'stiffnes'"),
         ("a.csv", "label,name\nx,brain\n", "line 2"),
         (
             "a.json",
@@ -178,24 +177,14 @@ def test_a_table_of_materials_is_refused_as_a_list_of_names(tmp_path):
     path = tmp_path / "m.csv"
     path.write_text("label,name,stiffness\n1,brain,3\n")
     assert tissue_table(path).materials == (Material(1, "brain", 3.0),)
-    with pytest.raises(
-        FileFormatError, match=r"m\.csv: line 1: a table of label names has no column 'st"
-    ):
+    with pytest.raises(FileFormatError, match=r"m\.csv: a table of label names has no column 'st"):
         read_label_names(path)
     path.write_text("label,name,poisson\n1,brain,0.4\n")
-    with pytest.raises(FileFormatError, match=r"m\.csv: line 1 lacks the column 'stiffness'"):
+    with pytest.raises(FileFormatError, match=r"m\.csv: line 2: stiffness is missing"):
         tissue_table(path)
-    words = '{"format": "napari-hmrf materials", "version": 4, "materials": [{"label": 1, %s}]}'
-    for written, sentence in (
-        ('"young": 3', r"m\.json has an unknown key 'young' in material 1\. Did you mean 'stiff"),
-        (
-            '"stiffness": 3, "poison": 0.3',
-            r"unknown key 'poison' in material 1\. Did you mean 'po",
-        ),
-    ):
-        (tmp_path / "m.json").write_text(words % written)
-        with pytest.raises(FileFormatError, match=sentence):
-            tissue_table(tmp_path / "m.json")
+    (tmp_path / "m.json").write_text('{"materials": [{"label": 1, "young": 3}]}')
+    with pytest.raises(FileFormatError, match=r"m\.json: there is no column 'young'"):
+        tissue_table(tmp_path / "m.json")
 
 
 def test_a_list_of_names_with_other_columns_is_not_a_table_of_materials(tmp_path):
@@ -271,7 +260,7 @@ def test_the_shell_writes_a_table_and_lists_labels_of_unknown_stiffness(files, c
     assert "brain (1.642 kPa, nu 0.45): 90 brain\n" in said
     assert "air (0 kPa): 16 trachea\n" in said
     assert "unknown (fill in or remove): 20 colon\n" in said
-    with pytest.raises(FileFormatError, match=r"m\.csv: line 3 has no value in 'stiffness'"):
+    with pytest.raises(FileFormatError, match=r"m\.csv: line 3: stiffness is missing"):
         read_materials("m.csv")
     text = (files / "m.csv").read_text()
     (files / "m.csv").write_text(text.replace("20,colon,,,", "20,colon,7,0.4,my own"))

@@ -40,8 +40,7 @@ from napari_hmrf import (
 )
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.fields import is_study_file
-from napari_hmrf.io.material_tables import read_preset
-from napari_hmrf.io.tables import read_materials
+from napari_hmrf.io.tables import read_materials, read_preset
 from napari_hmrf.landmarks import read_points
 from napari_hmrf.tissue import PRESETS, StiffnessCurve
 from napari_hmrf.tissue.drawing.patch_motion import PatchMotion

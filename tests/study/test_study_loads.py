@@ -28,8 +28,7 @@ from napari_hmrf import (
 )
 from napari_hmrf.data import phantom
 from napari_hmrf.field.held_forces import held_forces
-from napari_hmrf.io.material_tables import read_preset, write_preset
-from napari_hmrf.io.tables import read_materials, read_rules
+from napari_hmrf.io.tables import read_materials, read_preset, read_rules, write_preset
 from napari_hmrf.loads import Loads, growth, pressure, traction, weight
 from napari_hmrf.solver.caveats import shortfall
 from napari_hmrf.study.ground import Ground, build_problem
@@ -271,5 +270,5 @@ def test_growth_moves_the_rim_of_the_sample_tumour_about_as_far_as_pushing_it():
 def test_a_mistyped_growth_is_rejected_and_its_line_named(tmp_path, text):
     path = tmp_path / "materials.csv"
     path.write_text(f"label,stiffness,growth\n1,2,{text}\n")
-    with pytest.raises(FileFormatError, match=r"line 2: growth .*a fifth longer"):
+    with pytest.raises(FileFormatError, match=r"line 2: growth must be .*a fifth longer"):
         read_materials(path)

@@ -67,13 +67,12 @@ from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.fields import read_field, write_field, write_movie
 from napari_hmrf.io.apply import FieldFile, apply_field, write_field_file
 from napari_hmrf.io.case import Case, solve_case
-from napari_hmrf.io.csv_files import write_csv
 from napari_hmrf.io.fields import export_field, write_mapping
 from napari_hmrf.io.figures import write_pictures, write_result_pictures, write_volume_pictures
 from napari_hmrf.io.images import ImageFile, write_image
-from napari_hmrf.io.material_tables import write_preset
 from napari_hmrf.io.registration_files import RegistrationCase, register_files
-from napari_hmrf.io.tables import write_measurements, write_named_materials
+from napari_hmrf.io.table_files import write_csv
+from napari_hmrf.io.tables import write_measurements, write_named_materials, write_preset
 from napari_hmrf.io.uncertainty_files import write_uncertainty
 from napari_hmrf.landmarks import write_points
 from napari_hmrf.posterior import Uncertainty
@@ -242,10 +241,10 @@ def writers() -> dict[str, Write]:
         "io.moving_pictures.write_movie": lambda at: write_movie(
             at / "a.gif", solution(), _pixels(), frames=2
         ),
-        "io.csv_files.write_csv": lambda at: write_csv(at / "a.csv", ["a", "b"], [[1, "c" * 99]]),
+        "io.table_files.write_csv": lambda at: write_csv(at / "a.csv", ["a", "b"], [[1, "c" * 99]]),
         "io.tables.write_named_materials": lambda at: write_named_materials(at / "a.csv", named),
         "io.tables.write_measurements": lambda at: write_measurements(at / "a.csv", rows),
-        "io.material_tables.write_preset": lambda at: write_preset(at / "a.json", PRESETS[0]),
+        "io.tables.write_preset": lambda at: write_preset(at / "a.json", PRESETS[0]),
         "io.figures.write_pictures": _pictures,
         "io.figures.write_result_pictures": lambda at: write_result_pictures(at, solution()),
         "io.figures.write_volume_pictures": lambda at: write_volume_pictures(

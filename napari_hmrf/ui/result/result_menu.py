@@ -20,7 +20,7 @@ from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.io.apply import FieldFile, write_field_file
 from napari_hmrf.io.figures import write_result_pictures
 from napari_hmrf.io.moving_pictures import write_movie
-from napari_hmrf.io.tables import forces_in_words, measurements_in_words, write_measurements
+from napari_hmrf.io.tables import write_measurements
 from napari_hmrf.layers.field_layer import MOVED, can_move, picture_of, prepare_move, tissue_labels
 from napari_hmrf.layers.film_colours import film_overlay
 from napari_hmrf.layers.metadata import TISSUE, metadata_of, rows_of, tissue_recorded
@@ -34,6 +34,7 @@ from napari_hmrf.ui.result.landmark_table import LandmarkRows, LandmarkTable
 from napari_hmrf.ui.result.moving_layers import MovingLayers
 from napari_hmrf.ui.result.result_form import ResultForm
 from napari_hmrf.ui.result.result_messages import NO_IMAGE, NO_RESULT
+from napari_hmrf.ui.result.result_tables import forces_in_words, measurements_in_words
 from napari_hmrf.ui.table_window import Cell, TableWindow
 
 _FOR_IMAGES = "Fields (*.mha *.nrrd *.nii.gz *.h5)"

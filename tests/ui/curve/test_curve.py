@@ -12,7 +12,7 @@ from qtpy.QtWidgets import QApplication, QFileDialog
 
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.brightness import luminance
-from napari_hmrf.io.material_tables import read_preset
+from napari_hmrf.io.tables import read_preset
 from napari_hmrf.layers.metadata import METADATA, TISSUE, layer_metadata
 from napari_hmrf.study.ground import Ground
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
