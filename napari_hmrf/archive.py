@@ -276,6 +276,8 @@ def is_foreign(path: str | os.PathLike[str]) -> bool:
 
 def _replaced(value: Any, change: Callable[[Any, str], Any], path: tuple[str, ...] = ()) -> Any:
     """Return nested mappings and lists with values replaced by a function of value and name."""
+    if isinstance(value, float):  # most values are coordinates of strokes
+        return value
     if len(path) > _DEEPEST:  # pydantic and JSON could exceed the recursion limit
         raise _Invalid(f"{'.'.join(path[:3])}: more than {_DEEPEST} levels of nesting")
     if (changed := change(value, ".".join(path))) is not value:

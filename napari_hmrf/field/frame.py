@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
 
 from napari_hmrf.archive import first_fault
 from napari_hmrf.errors import ProblemError
@@ -26,8 +26,6 @@ Matrix = tuple[tuple[float, ...], ...]
 PATIENT_AXES = {"superior": ("S", "I"), "posterior": ("P", "A"), "left": ("L", "R")}
 #: Attributes of a layer, and keyword arguments of a new layer, that define its position.
 PLACE = ("scale", "translate", "rotate", "shear", "affine", "units", "axis_labels")
-#: Attributes of a `Frame` that are stored in files.
-_STORED = ("plane", "index", *PLACE, "matrix")
 #: Upper bound of a slice index in a file.
 _FARTHEST = 2**31
 
@@ -463,13 +461,11 @@ class Frame:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the frame as a dictionary of JSON types, as in `Solution.frame`."""
-        values = asdict(self)
-        more = {"file_axes": self.file_axes} if self.file_axes else {}
-        return {name: values[name] for name in _STORED} | more
+        return dict(_PLACES.dump_python(self))
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Frame:
-        """Create a frame from a dictionary, as returned by `as_dict`.
+        """Create a frame from a dictionary with the items of `as_dict`; others are ignored.
 
         Raises
         ------
@@ -477,15 +473,9 @@ class Frame:
             If a value is missing or invalid, or if no layer can have this frame.
         """
         try:
-            given = {name: values[name] for name in _STORED}
-            given["file_axes"] = values.get("file_axes", ())
-            return _PLACES.validate_python(given).checked()
-        except KeyError as error:
-            raise ValueError(f"invalid slice position: it lacks {error}") from error
+            return _PLACES.validate_python(values)
         except ValidationError as error:
             raise ValueError(f"invalid slice position: {first_fault(error)}") from error
-        except ValueError as error:
-            raise ValueError(f"invalid slice position: {error}") from error
 
     def checked(self) -> Frame:
         """Return the frame; raise a ValueError if no layer can have this frame."""
@@ -539,8 +529,9 @@ class Frame:
         return frame
 
 
-#: Validator of frames that are read from files.
-_PLACES = TypeAdapter(Frame)
+#: Frame that is checked when it is read from a file.
+StoredFrame = Annotated[Frame, AfterValidator(Frame.checked)]
+_PLACES = TypeAdapter(StoredFrame)
 
 
 def _ordered(picture: npt.NDArray[Any], axes: npt.NDArray[np.intp]) -> npt.NDArray[Any]:

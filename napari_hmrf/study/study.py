@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import AfterValidator, Field
+from pydantic import Field
 
 from napari_hmrf.archive import ByClass
 from napari_hmrf.arguments import (
@@ -29,7 +29,7 @@ from napari_hmrf.arguments import (
 )
 from napari_hmrf.errors import ArgumentError, ProblemError, naming
 from napari_hmrf.field.brightness import luminance
-from napari_hmrf.field.frame import Frame
+from napari_hmrf.field.frame import Frame, StoredFrame
 from napari_hmrf.field.units import (
     UNKNOWN_UNITS,
     has_same_spacing,
@@ -108,7 +108,7 @@ class Grid:
     shape: tuple[int, ...]
     spacing: tuple[float, ...]
     unit: str = "pixel"
-    place: Annotated[Frame, AfterValidator(Frame.checked)] | None = None
+    place: StoredFrame | None = None
 
     def __post_init__(self) -> None:
         axes = len(self.shape) if isinstance(self.shape, Sized) else 0
