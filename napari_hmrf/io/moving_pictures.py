@@ -189,10 +189,12 @@ def _encode(target: Path, pictures: npt.NDArray[np.uint8], per_second: int) -> b
     # The codec only accepts even numbers of rows and columns.
     rows, cols = (2 * (size // 2) for size in pictures.shape[1:3])
     with temporary_beside(target, ".mp4") as file:
-        iio.imwrite(file, pictures[:, :rows, :cols], fps=per_second, quality=8, macro_block_size=2)
         try:
+            iio.imwrite(
+                file, pictures[:, :rows, :cols], fps=per_second, quality=8, macro_block_size=2
+            )
             count, _ = imageio_ffmpeg.count_frames_and_secs(str(file))
-        except RuntimeError:
+        except (OSError, RuntimeError):  # ffmpeg does not say why it failed
             count = 0
         if count != len(pictures):
             raise HmrfError(

@@ -216,6 +216,8 @@ def test_a_movie_is_a_standard_mp4_file(solved, tmp_path):
     assert imageio_ffmpeg.count_frames_and_secs(str(path))[0] == 6, (
         "the movie should have 4 frames there and 2 back"
     )
+    rows, cols = study.pictures.image.shape[:2]
+    assert next(imageio_ffmpeg.read_frames(str(path)))["size"] == (cols // 2 * 2, rows // 2 * 2)
 
 
 def test_labels_can_be_integers_stored_as_floats():
