@@ -233,6 +233,7 @@ def _uncertainty(options: argparse.Namespace) -> int:
             n=options.samples,
             patch=options.patch,
             within=options.within,
+            landmarks=options.landmarks,
             backend=options.backend,
             overwrite=options.force,
             progress=progress,
@@ -248,6 +249,8 @@ def _uncertainty(options: argparse.Namespace) -> int:
         f"least sure: ± {float(found.along[site]):.2g} {unit} at pixel ({place}), where one more "
         "landmark helps most"
     )
+    for clause in estimated.landmarks.described() if estimated.landmarks else ():
+        print(f"tested: {clause}")
     if estimated.note:
         _note(estimated.note)
     if estimated.paths:

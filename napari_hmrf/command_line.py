@@ -377,6 +377,12 @@ def _add_uncertainty(commands: Commands) -> None:
         metavar="IMAGE",
         help="pixels in which a landmark can be set: those that are not 0 (default: all tissue)",
     )
+    uncertainty.add_argument(
+        "--landmarks",
+        action="store_true",
+        help="also test whether the landmarks agree with the tissue and with each other, and find "
+        "their most likely typical strain; each component of a landmark takes one solve",
+    )
     _add_force(uncertainty)
     _add_backend(uncertainty)
 

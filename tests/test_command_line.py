@@ -5,6 +5,7 @@ import csv
 import os
 import re
 import shlex
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from napari_hmrf import (
     Drawing,
     Grid,
     HmrfError,
+    Landmark,
     Motion,
     Pictures,
     Study,
@@ -361,6 +363,39 @@ def test_measure_adds_error_bars_and_uncertainty_writes_images_and_a_place(files
     code, _, err = run(command, capsys)
     assert code == 1
     assert "--force" in err
+
+
+def test_uncertainty_names_a_wrong_landmark_and_states_the_typical_strain(files, capsys):
+    places = [(4, 4), (4, 12), (4, 20), (10, 8), (10, 16), (16, 4), (16, 12), (16, 20)]
+    marks = [Landmark(place, (place[0], place[1] + 0.5), radius=1.0, sd=0.3) for place in places]
+    marks[3] = Landmark(places[3], (15, 3), radius=1.0, sd=0.3)
+    for count, typical_strain, said in (
+        (
+            8,
+            0.02,
+            (
+                r"landmarks do not agree with the tissue \(p < 0.0001\)",
+                r"landmark at pixel \(10, 8\) does not agree",
+                r"typical strain is 7\d.* % \(5\d.* to 10\d.* %\)",
+            ),
+        ),
+        (1, 1.0, ("the landmarks agree", "unknown, because landmarks are too few")),
+    ):
+        motion = Motion(
+            hold_edge=True, drawing=Drawing(tuple(marks[:count])), typical_strain=typical_strain
+        )
+        study = Study(Grid(SHAPE, (1, 1)), Tissue(), motion)
+        write_study("a.study", study, solve_study(study, backend="cpu"))
+        code, out, _ = run("uncertainty a.study --samples 2 --landmarks", capsys)
+        assert code == 0
+        for each in said:
+            assert re.search(each, out), out
+    pull = Drawing((Arrow(at=(10, 12), by=(0, 3), radius=3),))
+    study = replace(study, motion=Motion(hold_edge=True, drawing=pull))
+    write_study("b.study", study, solve_study(study, backend="cpu"))
+    code, _, err = run("uncertainty b.study --landmarks", capsys)
+    assert code == 1
+    assert "b.study is unknown: landmarks: are missing" in err
 
 
 def test_a_result_without_a_known_uncertainty_is_refused_with_the_reason(files, capsys):

@@ -20,6 +20,7 @@ from napari_hmrf.io.overwriting import refuse_overwriting
 from napari_hmrf.io.study_file import read_solved
 from napari_hmrf.io.uncertainty_files import uncertainty_paths, write_uncertainty
 from napari_hmrf.posterior import Uncertainty
+from napari_hmrf.posterior.study_landmarks import LandmarkTest, examine_landmarks
 from napari_hmrf.posterior.study_uncertainty import ground_uncertainty
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
@@ -139,6 +140,7 @@ class EstimatedFile(NamedTuple):
         Written files; empty if no path was given.
     note : str
         Note for the user, a clause; "" if there is none.
+    landmarks : LandmarkTest, optional
     """
 
     found: Uncertainty
@@ -146,6 +148,7 @@ class EstimatedFile(NamedTuple):
     unit: str
     paths: tuple[Path, ...] = ()
     note: str = ""
+    landmarks: LandmarkTest | None = None
 
 
 def estimate_uncertainty(
@@ -155,6 +158,7 @@ def estimate_uncertainty(
     n: int = 30,
     patch: float | None = None,
     within: Path | None = None,
+    landmarks: bool = False,
     backend: str = "auto",
     overwrite: bool = True,
     progress: Progress | None = None,
@@ -171,6 +175,8 @@ def estimate_uncertainty(
         As for `study_uncertainty`.
     within : Path, optional
         Mask of the sites where a landmark can be, for `Uncertainty.least_sure`.
+    landmarks : bool
+        True to test the landmarks of the study, too.
     overwrite : bool
         True if existing images may be replaced.
 
@@ -190,9 +196,12 @@ def estimate_uncertainty(
     nowhere = np.zeros(study.grid.shape, np.bool_)  # labels are measured by `measured`
     try:
         ground = Ground.of(study)
+        stated, tested = ground.statement(), None
+        if landmarks:
+            tested = examine_landmarks(ground, stated, backend=backend, progress=progress)
         found = ground_uncertainty(
             ground,
-            ground.statement(),
+            stated,
             n,
             patch=patch,
             where=nowhere,
@@ -204,11 +213,11 @@ def estimate_uncertainty(
     place = found.least_sure(mask)
     unit = unit_symbol(Frame.of_solution(found.solution).unit)
     if out is None:
-        return EstimatedFile(found, place, unit)
+        return EstimatedFile(found, place, unit, landmarks=tested)
     is_placed = bool(found.solution.frame)
     paths = write_uncertainty(out, found, placed=is_placed)
     note = "" if is_placed or out.name.lower().endswith(PICTURE_SUFFIXES) else _NO_PLACE
-    return EstimatedFile(found, place, unit, paths, note)
+    return EstimatedFile(found, place, unit, paths, note, tested)
 
 
 def labels_in(path: Path) -> tuple[int, ...]:

@@ -1,15 +1,14 @@
-"""Scale of the prior and size of the errors of observations, by maximum likelihood.
+"""Scale of the prior, by maximum likelihood.
 
 The differences r between observations and the motion of the tissue without them are normally
-distributed with the covariance ``a^2 T C + b^2 R`` (see `data_space`), where a is a factor on the
-typical strain and b a factor on the standard deviations. After one decomposition that makes both
-matrices diagonal, with the entries p_i and 1, the logarithm of the likelihood is a sum,
+distributed with the covariance ``a^2 T C + R`` (see `data_space`), where a is a factor on the
+typical strain. After one decomposition that makes both matrices diagonal, with the entries p_i and
+1, the logarithm of the likelihood is a sum,
 
-    L(a, b) = - 1/2 sum of [ log(a^2 p_i + b^2) + z_i^2 / (a^2 p_i + b^2) ] + const
+    L(a) = - 1/2 sum of [ log(a^2 p_i + 1) + z_i^2 / (a^2 p_i + 1) ] + const
 
 whose maximum is found by a search on a grid and a refinement. The ends of an interval of 95 % are
-where the largest likelihood for this value of the parameter is smaller than the maximum by a factor
-of exp(-1.92) (profile likelihood).
+where the likelihood is smaller than its maximum by a factor of exp(-1.92).
 
 D. Harville: Maximum likelihood approaches to variance component estimation and to related problems.
 Journal of the American Statistical Association 72, 1977.
@@ -18,7 +17,6 @@ Journal of the American Statistical Association 72, 1977.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -26,7 +24,6 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from napari_hmrf.arguments import require_flag
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.posterior.data_space import DataSpace, data_space
 from napari_hmrf.posterior.sampling import checked_prior, energy_of
@@ -45,8 +42,8 @@ _LOW, _HIGH, _COUNT = math.log(1e-4), math.log(1e4), 48
 _NEAR = 1.0
 #: Half of the 95 % quantile of the chi-squared distribution with one degree of freedom.
 _DROP = 1.9207
-#: Smallest number of independent combinations of observations, for one or two parameters.
-_LEAST = (4, 8)
+#: Smallest number of independent combinations of observations.
+_LEAST = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,33 +57,23 @@ class ScaleFit:
     strain_interval : (float, float)
         Interval that contains the typical strain with a probability of 95 %. It begins at 0 if the
         errors of the observations may explain all of them.
-    noise : float
-        Fitted factor on all standard deviations; 1 if it was not fitted.
-    noise_interval : (float, float)
-        Interval that contains this factor with a probability of 95 %; (1, 1) if it was not fitted.
     freedom : int
         Number of independent combinations of observed components that no free rigid motion changes.
     log_likelihood : float
         Logarithm of the probability density of these combinations.
     problem : Problem
-        Problem with the fitted scale and errors, for `solve` and `uncertainty`.
+        Problem with the fitted scale, for `solve` and `uncertainty`.
     """
 
     scale: StrainScale
     strain_interval: tuple[float, float]
-    noise: float
-    noise_interval: tuple[float, float]
     freedom: int
     log_likelihood: float
     problem: Problem
 
     def __repr__(self) -> str:
         low, high = self.strain_interval
-        noise = ""
-        if self.noise_interval != (1.0, 1.0):
-            least, most = self.noise_interval
-            noise = f", noise {self.noise:.3g} ({least:.3g} to {most:.3g})"
-        return f"ScaleFit(strain {self.scale.strain:.3g} ({low:.3g} to {high:.3g}){noise})"
+        return f"ScaleFit(strain {self.scale.strain:.3g} ({low:.3g} to {high:.3g}))"
 
 
 def fit_scale(
@@ -94,7 +81,6 @@ def fit_scale(
     prior: Prior | None = None,
     *,
     scale: StrainScale | None = None,
-    noise: bool = False,
     backend: str = "auto",
     progress: Progress | None = None,
     cancel: CancelFlag | None = None,
@@ -118,9 +104,6 @@ def fit_scale(
     scale : StrainScale, optional
         Scale whose strain is fitted; its extent and stiffness stay the same. By default that of the
         landmarks. It is required for a precision, as for `sample_posterior`.
-    noise : bool
-        True to fit a factor on the standard deviations of all observations, too. This takes more
-        observations: their errors must be distinguished from small-scale strain.
     backend, cancel
         As for `solve`.
     progress : callable, optional
@@ -136,8 +119,7 @@ def fit_scale(
         If an argument is invalid.
     ProblemError
         If there are no observations, too few, or more than 3000 components; if all are in held
-        tissue; if they do not determine the strain or the noise; or for the reasons of
-        `sample_posterior`.
+        tissue; if they do not determine the strain; or for the reasons of `sample_posterior`.
     Cancelled
         If `cancel` was set.
 
@@ -159,72 +141,77 @@ def fit_scale(
     True
     """
     check_arguments(problem=problem, prior=prior, backend=backend, progress=progress, cancel=cancel)
-    require_flag("noise", noise)
     elastic, energy = checked_prior(problem, prior), energy_of(problem, scale)
     marks = problem.landmarks
     stated = scale or (StrainScale() if marks is None else marks.scale)
     space = data_space(problem, elastic, energy, backend, progress, cancel)
-    count, least = len(space.residual), _LEAST[noise]
-    if count < least:
+    return scale_in(space, energy, stated, problem)
+
+
+def scale_in(space: DataSpace, energy: float, stated: StrainScale, problem: Problem) -> ScaleFit:
+    """Fit the typical strain to the observations of a data space.
+
+    Parameters
+    ----------
+    space : DataSpace
+    energy : float
+        Unit of energy of the stated scale, T in the equations.
+    stated : StrainScale
+        Scale whose strain is fitted.
+    problem : Problem
+        Problem of the observations.
+
+    Raises
+    ------
+    ProblemError
+        If the observations are too few, or do not determine the strain.
+    """
+    count = len(space.residual)
+    if count < _LEAST:
         raise ProblemError(
             "landmarks",
             f"are too few: apart from rigid motions they have {count} independent components, and "
-            f"{least} are needed. Add landmarks.",
+            f"{_LEAST} are needed. Add landmarks.",
         )
-    likelihood = Likelihood.of(space, energy, noise)
+    likelihood = Likelihood.of(space, energy)
     if not likelihood.shares.any():
         raise ProblemError(
             "landmarks",
             "are all in held tissue, so they do not depend on the scale. Add landmarks elsewhere.",
         )
     strain = likelihood.most_likely()
-    interval = likelihood.interval(likelihood.profile_strain, strain)
+    interval = likelihood.interval(strain)
     if strain < _LOW + _NEAR:
         raise ProblemError(
             "scale",
             "cannot be fitted: the errors of the observations explain all of their motion. The "
             f"typical strain is at most {stated.strain * interval[1]:.2g}; state a smaller one.",
         )
-    factor, ends = 1.0, (1.0, 1.0)
-    if noise:
-        logarithm = likelihood.noise_at(strain)
-        ends = likelihood.interval(likelihood.profile_noise, logarithm)
-        if logarithm < _LOW + _NEAR:
-            raise ProblemError(
-                "noise",
-                "cannot be fitted: strain explains all of the observations, and their standard "
-                f"deviations are at most {ends[1]:.2g} times the stated ones. Omit noise.",
-            )
-        factor = math.exp(logarithm)
     fitted = replace(stated, strain=stated.strain * math.exp(strain))
     return ScaleFit(
         fitted,
         (stated.strain * interval[0], stated.strain * interval[1]),
-        factor,
-        ends,
         count,
-        likelihood.profile_strain(strain) + likelihood.constant,
-        _rescaled(problem, fitted, math.exp(strain), factor),
+        float(likelihood.value(strain)) + likelihood.constant,
+        _rescaled(problem, fitted, math.exp(strain)),
     )
 
 
-def _rescaled(problem: Problem, scale: StrainScale, strain: float, noise: float) -> Problem:
-    """Return the problem with another scale, and with standard deviations times `noise`."""
+def _rescaled(problem: Problem, scale: StrainScale, factor: float) -> Problem:
+    """Return the problem with another scale, whose strain is larger by a factor."""
     changes: dict[str, Any] = {}
     marks = problem.landmarks
     if marks is not None:
-        changes["landmarks"] = Landmarks(
-            marks.points, marks.targets, sd=noise * marks.sd, scale=scale
-        )
+        changes["landmarks"] = Landmarks(marks.points, marks.targets, sd=marks.sd, scale=scale)
     if problem.precision is not None:
-        precision = problem.precision * (strain / noise) ** 2
+        precision = problem.precision * factor**2
         precision.setflags(write=False)
         changes["precision"] = precision
     return variant_of(problem, **changes)
 
 
 class Likelihood(NamedTuple):
-    """Likelihood of factors on the typical strain and on the standard deviations.
+    """Likelihood of a factor on the typical strain.
 
     Attributes
     ----------
@@ -233,18 +220,15 @@ class Likelihood(NamedTuple):
     squares : ndarray, shape (k,)
         Squared differences, relative to the variances of the errors: z^2 in the equations.
     constant : float
-        Part of the logarithm that does not depend on the factors.
-    with_noise : bool
-        False if the factor on the standard deviations is 1.
+        Part of the logarithm that does not depend on the factor.
     """
 
     shares: Float64Array
     squares: Float64Array
     constant: float
-    with_noise: bool
 
     @classmethod
-    def of(cls, space: DataSpace, energy: float, with_noise: bool) -> Likelihood:
+    def of(cls, space: DataSpace, energy: float) -> Likelihood:
         """Make both covariances diagonal."""
         root = np.linalg.cholesky(space.noise)
         scaled = scipy.linalg.solve_triangular(
@@ -253,38 +237,29 @@ class Likelihood(NamedTuple):
         shares, ways = np.linalg.eigh(scaled @ scaled.T)
         differences = ways.T @ scipy.linalg.solve_triangular(root, space.residual, lower=True)
         constant = -float(np.log(np.diag(root)).sum()) - len(shares) / 2 * math.log(2 * math.pi)
-        return cls(np.maximum(shares, 0), differences**2, constant, with_noise)
+        return cls(np.maximum(shares, 0), differences**2, constant)
 
-    def value(self, strain: Logarithm, noise: Logarithm) -> Float64Array:
+    def value(self, strain: Logarithm) -> Float64Array:
         """Return the logarithm of the likelihood of logarithms of factors, one or an array."""
-        variances = np.multiply.outer(np.exp(2 * np.asarray(strain)), self.shares)
-        variances = variances + np.exp(2 * np.asarray(noise))[..., np.newaxis]
+        variances = np.multiply.outer(np.exp(2 * np.asarray(strain)), self.shares) + 1
         return np.asarray(-0.5 * (np.log(variances) + self.squares / variances).sum(axis=-1))
 
     def most_likely(self) -> float:
-        """Return the logarithm of the most likely factor on the strain."""
-        if not self.with_noise:
-            return _argmax(lambda strain: self.value(strain, 0.0))
-        return _argmax(np.vectorize(self.profile_strain))
+        """Return the logarithm of the most likely factor."""
+        values = np.linspace(_LOW, _HIGH, _COUNT)
+        best = int(np.argmax(self.value(values)))
+        ends = values[max(best - 1, 0)], values[min(best + 1, _COUNT - 1)]
+        found = scipy.optimize.minimize_scalar(
+            lambda value: -float(self.value(value)), bounds=ends, method="bounded"
+        )
+        return float(found.x)
 
-    def noise_at(self, strain: float) -> float:
-        """Return the logarithm of the most likely factor on the errors, at a given strain."""
-        return _argmax(lambda noise: self.value(strain, noise)) if self.with_noise else 0.0
-
-    def profile_strain(self, strain: float) -> float:
-        """Return the largest value at a given strain."""
-        return float(self.value(strain, self.noise_at(strain)))
-
-    def profile_noise(self, noise: float) -> float:
-        """Return the largest value at a given factor on the errors."""
-        return float(self.value(_argmax(lambda strain: self.value(strain, noise)), noise))
-
-    def interval(self, profile: Callable[[float], float], best: float) -> tuple[float, float]:
-        """Return the factors at which a profile is smaller than its maximum by `_DROP`."""
-        target = profile(best) - _DROP
+    def interval(self, best: float) -> tuple[float, float]:
+        """Return the factors at which the value is smaller than its maximum by `_DROP`."""
+        target = float(self.value(best)) - _DROP
 
         def above(value: float) -> float:
-            return profile(value) - target
+            return float(self.value(value)) - target
 
         low = 0.0
         if above(_LOW) < 0:
@@ -293,14 +268,3 @@ class Likelihood(NamedTuple):
         if above(_HIGH) < 0:
             high = math.exp(scipy.optimize.brentq(above, best, _HIGH, xtol=1e-3))
         return low, high
-
-
-def _argmax(function: Callable[[Logarithm], Float64Array]) -> float:
-    """Return the logarithm of a factor at which a function is largest."""
-    values = np.linspace(_LOW, _HIGH, _COUNT)
-    best = int(np.argmax(function(values)))
-    ends = values[max(best - 1, 0)], values[min(best + 1, _COUNT - 1)]
-    found = scipy.optimize.minimize_scalar(
-        lambda value: -float(function(value)), bounds=ends, method="bounded"
-    )
-    return float(found.x)

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.posterior.uncertainty import Uncertainty, checked_labels, uncertainty
 from napari_hmrf.solver.priors import ElasticPrior
+from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solve import CancelFlag, Progress
 from napari_hmrf.solver.uncertain_landmarks import StrainScale
 from napari_hmrf.study.ground import Ground, Statement, at_place_of
@@ -96,14 +97,7 @@ def ground_uncertainty(
         As for `study_uncertainty`.
     """
     study, problem = ground.study, stated.problem
-    if study.motion.measured is not None:
-        raise ProblemError(
-            "measured motion",
-            "has a precision that is relative to the similarity of two images, so its uncertainty "
-            "is unknown. Remove the measured motion, or use landmarks with a standard deviation.",
-        )
-    refuse_model(study, "uncertainty")
-    refuse_sliding_parts(study, problem, "uncertainty")
+    refuse_unknown(study, problem)
     assert isinstance(stated.prior, ElasticPrior)
     scale = None  # landmarks have their own
     if problem.landmarks is None:
@@ -127,6 +121,24 @@ def ground_uncertainty(
     )
     means = {label - shift: mean for label, mean in found.labels.items()}
     return replace(found, solution=at_place_of(study, found.solution), labels=means)
+
+
+def refuse_unknown(study: Study, problem: Problem) -> None:
+    """Raise an error if the uncertainty of a study is unknown.
+
+    Raises
+    ------
+    ProblemError
+        If the study has a measured motion, another model, or parts that slide.
+    """
+    if study.motion.measured is not None:
+        raise ProblemError(
+            "measured motion",
+            "has a precision that is relative to the similarity of two images, so its uncertainty "
+            "is unknown. Remove the measured motion, or use landmarks with a standard deviation.",
+        )
+    refuse_model(study, "uncertainty")
+    refuse_sliding_parts(study, problem, "uncertainty")
 
 
 def _labels_of(

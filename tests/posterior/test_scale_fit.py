@@ -1,4 +1,4 @@
-"""Tests of the scale of the prior and the errors of landmarks, by maximum likelihood."""
+"""Tests of the scale of the prior, by maximum likelihood."""
 
 import threading
 
@@ -7,7 +7,6 @@ import pytest
 import scipy
 
 from napari_hmrf import Cancelled, ElasticPrior, Problem, ProblemError, solve
-from napari_hmrf.errors import ArgumentError
 from napari_hmrf.landmarks import Landmarks, StrainScale
 from napari_hmrf.posterior import check_agreement, fit_scale
 from validation.oracles.posterior import data_covariance, interpolation
@@ -61,12 +60,12 @@ def turned(shape, spacing, angle=0.5):
     return field
 
 
-def dense(problem, strain, noise=1.0):
+def dense(problem, strain):
     """Return the logarithm of the likelihood by a dense covariance."""
     marks = problem.landmarks
     rows = interpolation(marks.points, problem.shape).toarray()
     ways, covariance = data_covariance(problem, ElasticPrior(), StrainScale(strain), rows)
-    covariance = covariance + noise**2 * (ways.T * marks.sd.ravel() ** 2) @ ways
+    covariance = covariance + (ways.T * marks.sd.ravel() ** 2) @ ways
     seen = marks.displacement(problem.spacing).ravel()
     if problem.known.any():
         seen = seen - rows @ at_rest(problem).ravel()
@@ -80,35 +79,25 @@ def dense(problem, strain, noise=1.0):
     [((9, 8), True), ((9, 8), False), ((4, 4, 4), False)],
     ids=["held image", "free image", "free volume"],
 )
-def test_the_fitted_scale_and_noise_are_those_of_the_largest_dense_likelihood(shape, is_held):
+def test_the_fitted_scale_is_that_of_the_largest_dense_likelihood(shape, is_held):
     spacing = (1.0, 2.0, 1.0)[: len(shape)]
     problem = observed(is_held, shape, spacing)
-    for noise in (False, True):
-        found = fit_scale(problem, noise=noise, backend="cpu")
-        strain = found.scale.strain
-        assert found.freedom == 10 * len(shape) - (0 if is_held else (3, 6)[len(shape) - 2])
-        largest = dense(problem, strain, found.noise)
-        assert found.log_likelihood == pytest.approx(largest, abs=0.02)
-        for factor in (0.9, 1.1):
-            assert dense(problem, factor * strain, found.noise) < largest
-            assert not noise or dense(problem, strain, factor * found.noise) < largest
-        if not noise:
-            for end in found.strain_interval:
-                assert dense(problem, end) == pytest.approx(largest - 1.92, abs=0.03)
-        else:
-            assert found.noise_interval[0] < found.noise < found.noise_interval[1]
-            assert found.noise == pytest.approx(1, abs=0.6)
+    found = fit_scale(problem, backend="cpu")
+    strain = found.scale.strain
+    assert found.freedom == 10 * len(shape) - (0 if is_held else (3, 6)[len(shape) - 2])
+    largest = dense(problem, strain)
+    assert found.log_likelihood == pytest.approx(largest, abs=0.02)
+    for factor in (0.9, 1.1):
+        assert dense(problem, factor * strain) < largest
+    for end in found.strain_interval:
+        assert dense(problem, end) == pytest.approx(largest - 1.92, abs=0.03)
 
 
-def test_the_fitted_problem_has_the_fitted_scale_and_errors():
-    problem = observed(is_held=True)
-    found = fit_scale(problem, noise=True, backend="cpu")
-    marks = found.problem.landmarks
-    assert marks.scale == found.scale
-    np.testing.assert_allclose(marks.sd, found.noise * problem.landmarks.sd)
-    again = fit_scale(found.problem, noise=True, backend="cpu")
+def test_the_fitted_problem_has_the_fitted_scale():
+    found = fit_scale(observed(is_held=True), backend="cpu")
+    assert found.problem.landmarks.scale == found.scale
+    again = fit_scale(found.problem, backend="cpu")
     assert again.scale.strain == pytest.approx(found.scale.strain, rel=1e-3)
-    assert again.noise == pytest.approx(1, rel=1e-3)
 
 
 def test_a_precision_gives_the_same_scale_as_landmarks_at_its_sites():
@@ -171,24 +160,6 @@ def test_observations_that_do_not_determine_a_scale_are_refused(problem, reason)
     with pytest.raises(ProblemError, match=reason) as refused:
         fit_scale(problem, backend="cpu")
     assert refused.value.field == "landmarks"
-
-
-def test_errors_that_strain_can_explain_are_refused_as_noise():
-    base = with_marks([(3, 3), (5, 5), (7, 2), (8, 6)])
-    tilted = Problem(
-        observed=base.observed,
-        confidence=base.confidence,
-        stiffness=base.stiffness,
-        landmarks=base.landmarks,
-    )
-    with pytest.raises(ProblemError, match="strain explains all") as refused:
-        fit_scale(tilted, noise=True, backend="cpu")
-    assert refused.value.field == "noise"
-
-
-def test_a_flag_is_not_a_number():
-    with pytest.raises(ArgumentError, match="noise"):
-        fit_scale(observed(True), noise=2)
 
 
 @pytest.mark.parametrize("function", [fit_scale, check_agreement])
