@@ -36,29 +36,6 @@ def test_a_picture_is_read_back_unchanged(tmp_path, suffix, shape):
     assert (after.colours, after.geometry) == (before.colours, None)
 
 
-def test_a_dicom_folder_is_read_as_a_volume(tmp_path):
-    volume = pixels((4, 12, 9), np.int16)
-    for number, plane in enumerate(volume):
-        image = sitk.GetImageFromArray(plane[np.newaxis])
-        image.SetSpacing((0.7, 0.5, 3.0))
-        for key, value in {
-            "0008|0060": "MR",
-            "0020|000e": "1.2.3",
-            "0020|0013": str(number),
-            "0020|0032": f"-10\\20\\{5 + 3 * number}",
-            "0020|0037": "1\\0\\0\\0\\1\\0",
-        }.items():
-            image.SetMetaData(key, value)
-        writer = sitk.ImageFileWriter()
-        writer.KeepOriginalImageUIDOn()
-        writer.SetFileName(str(tmp_path / f"{number}.dcm"))
-        writer.Execute(image)
-    found = read_image(tmp_path)
-    np.testing.assert_array_equal(found.pixels, volume)
-    np.testing.assert_allclose(found.geometry.spacing, (3.0, 0.5, 0.7))
-    np.testing.assert_allclose(found.geometry.origin, (-10, 20, 5))
-
-
 def test_a_file_without_an_image_is_refused_in_one_sentence(tmp_path):
     for name in ("broken.nii.gz", "broken.png"):
         (tmp_path / name).write_bytes(b"nothing of the kind")
