@@ -13,13 +13,21 @@ from multiprocessing.spawn import get_executable
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
+import psutil
+
 from napari_hmrf.errors import HmrfError
+from napari_hmrf.io.itk_image import MOST_PACKED
+
+if sys.platform != "win32":
+    import resource
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
 #: Time allowed for any call, and additional time per MB, in seconds; long enough for slow disks.
 _LEAST_SECONDS, _SECONDS_PER_MB = 10.0, 2.0
+#: Memory allowed for any call, in bytes, and largest memory divided by the size of the file.
+_LEAST_MEMORY, _LARGEST_RATIO = 2 * 2**30, 4 * MOST_PACKED
 #: Program of the child process. The public names of the package, which take a second to import, are
 #: not imported.
 _PROGRAM = """
@@ -48,7 +56,8 @@ def call_in_child(
     Parameters
     ----------
     size : int
-        Size of the file that the function reads or writes, in bytes; it limits the time.
+        Size of the file that the function reads or writes, in bytes; it limits the time and the
+        memory.
     function : callable
         Function of a module. Its arguments, its result and its errors are pickled.
     *arguments, **options
@@ -61,9 +70,9 @@ def call_in_child(
     HmrfError
         If no process can be started.
     Exception
-        If the function raises it.
+        If the function raises it; `MemoryError` if it requires too much memory.
     """
-    seconds = _LEAST_SECONDS + _SECONDS_PER_MB * size / 1e6
+    limits = _LEAST_SECONDS + _SECONDS_PER_MB * size / 1e6, _LEAST_MEMORY + _LARGEST_RATIO * size
     # An application that is frozen into one program has no interpreter.
     python = "" if getattr(sys, "frozen", False) else get_executable() or ""
     command = [python, "-P", "-c", _PROGRAM, str(Path(__file__).parents[1])]
@@ -87,7 +96,7 @@ def call_in_child(
         assert process.stdout is not None
         try:
             with suppress(BrokenPipeError), process.stdin:
-                pickle.dump((seconds, function, arguments, options), process.stdin)
+                pickle.dump((limits, function, arguments, options), process.stdin)
             if process.stdout.read(len(_READY)) != _READY:
                 raise HmrfError(
                     "this file is read in a separate process, which ended while starting."
@@ -106,9 +115,14 @@ def main() -> None:
     """Call the function that standard input names, and write its result to standard output."""
     results = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # libraries print warnings about damaged files
-    seconds, function, arguments, options = pickle.load(sys.stdin.buffer)
+    (seconds, memory), function, arguments, options = pickle.load(sys.stdin.buffer)
     results.write(_READY)
     results.flush()
+    if sys.platform != "win32":
+        used = psutil.Process().memory_info().vms
+        _, most = resource.getrlimit(resource.RLIMIT_AS)
+        with suppress(ValueError, OSError):  # above a limit of this system
+            resource.setrlimit(resource.RLIMIT_AS, (used + memory, most))
     # Ends this process even while a library hangs, and if the calling process has ended.
     faulthandler.dump_traceback_later(seconds, exit=True)
     try:

@@ -184,9 +184,10 @@ def _call(function: Callable[[Path], T], source: Path) -> T:
     require_simpleitk()
     try:
         return call_in_child(_bytes_in(source), function, source)
-    except ChildDied:
+    except (ChildDied, MemoryError):
         raise Unreadable(
-            "decoding it crashes or does not finish, so it is probably damaged"
+            "decoding it crashes, does not finish or takes too much memory, so it is probably "
+            "damaged"
         ) from None
 
 

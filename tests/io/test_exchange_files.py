@@ -107,6 +107,12 @@ def test_a_child_process_returns_results_and_errors():
         call_in_child(0, os.abort)
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="needs the limit of memory of Linux")
+def test_a_child_process_has_a_limit_of_memory():
+    with pytest.raises(MemoryError):
+        call_in_child(0, bytes, 3 * 2**30)
+
+
 def test_an_application_without_a_python_interpreter_reports_the_missing_interpreter(monkeypatch):
     monkeypatch.setattr(sys, "frozen", True, raising=False)
     with pytest.raises(HmrfError, match="no Python interpreter was found"):
