@@ -76,8 +76,8 @@ class FilmOverlay:
         ndarray of uint8, shape (N, H', W', 3)
         """
         from matplotlib.backends.backend_agg import FigureCanvasAgg  # heavy: matplotlib
-        from matplotlib.collections import LineCollection  # heavy: matplotlib
         from matplotlib.figure import Figure  # heavy: matplotlib
+        from matplotlib.lines import Line2D  # heavy: matplotlib
 
         rows, cols = frames.shape[1:3]
         sides = np.array([rows, cols]) * spacing / min(spacing)
@@ -92,13 +92,13 @@ class FilmOverlay:
             color="white",
             size=_LETTERS * _POINT,
             verticalalignment="top",
+            parse_math=False,
         )
         axes = figure.add_axes((0, 0, cols_shown / width, rows_shown / height))
         axes.set_axis_off()
         picture = axes.imshow(frames[0], "gray", vmin=0, vmax=255, aspect="auto")
         overlay = axes.imshow(np.zeros((rows, cols, 4)), aspect="auto")
-        lines = LineCollection([], colors=self.line, linewidths=_POINT)
-        axes.add_collection(lines)
+        lines = axes.add_line(Line2D([], [], color=self.line, linewidth=_POINT))
         if self.limits is not None:
             left, below = (cols_shown + _SPACE) / width, _LETTERS / height
             bar = figure.add_axes((left, below, _BAR / width, rows_shown / height - 2 * below))
@@ -117,7 +117,9 @@ class FilmOverlay:
                 overlay.set_data(self.colours(values if plane is None else values.take(*plane)))
             if moment.grid is not None:
                 starts, directions = moment.grid.swapaxes(0, 1)
-                lines.set_segments([*np.stack([starts, starts + directions], axis=1)[..., ::-1]])
+                breaks = np.full_like(starts, np.nan)  # one line is drawn faster than many
+                points = np.stack([starts, starts + directions, breaks], axis=1).reshape(-1, 2)
+                lines.set_data(points[:, 1], points[:, 0])
             canvas.draw()
             drawn.append(np.asarray(canvas.buffer_rgba())[..., :3].copy())
         return np.stack(drawn)
