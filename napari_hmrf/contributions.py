@@ -30,7 +30,7 @@ from napari_hmrf.layers.metadata import (
     layer_metadata,
 )
 from napari_hmrf.layers.result_layers import result_layers
-from napari_hmrf.layers.stored_size import stored_size
+from napari_hmrf.layers.stored_axes import stored_axes
 from napari_hmrf.samples.chest import chest_phantom
 from napari_hmrf.samples.head import GROWTH, SAMPLE_SIZE, head_phantom
 from napari_hmrf.samples.mri import MRI_SCALE, mri_slices
@@ -261,8 +261,8 @@ def _place_of_images(n: int) -> tuple[dict[str, Any], list[int]]:
     if image.ndim == n:
         names = ("translate", "rotate", "shear", "affine")
         place |= {name: getattr(image, name) for name in names}
-        sizes, _ = stored_size(image)
-        place |= {"scale": 1 / np.array(sizes)} if sizes else {}
+        sizes = stored_axes(image).sizes
+        place |= {"scale": 1 / np.array(sizes)} if sizes and all(sizes) else {}
     return place, [*(file_axes_of(image) if image.ndim == n else ())] or [*range(n)]
 
 

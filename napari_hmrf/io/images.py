@@ -445,8 +445,8 @@ def _read_tiff(source: Path) -> ImageFile:
         return ImageFile(pixels, None, colours, _NO_SPACE.get(axes[0], ""), sizes, unit)
 
 
-def pixel_size_of(path: str | os.PathLike[str]) -> tuple[tuple[float, ...], str]:
-    """Return the size of a pixel along each axis of a .tif file, without colours, and its unit.
+def axes_of_tiff(path: str | os.PathLike[str]) -> tuple[tuple[str, ...], tuple[float, ...], str]:
+    """Return the axes of a .tif file, without colours, and the size of a pixel along them.
 
     Parameters
     ----------
@@ -454,6 +454,8 @@ def pixel_size_of(path: str | os.PathLike[str]) -> tuple[tuple[float, ...], str]
 
     Returns
     -------
+    contents : tuple of str
+        Content of each axis, such as "channels" or "times"; "" for axes of space.
     sizes : tuple of float
         1 for axes that are not axes of space, and 0 if the distance of slices is unknown; empty if
         no size is known.
@@ -462,11 +464,13 @@ def pixel_size_of(path: str | os.PathLike[str]) -> tuple[tuple[float, ...], str]
     import tifffile  # heavy: tifffile
 
     with tifffile.TiffFile(checked_path(path)) as file:
-        return _pixel_size(file, file.series[0].axes)
+        axes = file.series[0].axes
+        contents = (_NO_SPACE.get(axis, "") for axis in axes.rstrip("S"))
+        return tuple(contents), *_pixel_size(file, axes)
 
 
 def _pixel_size(file: Any, axes: str) -> tuple[tuple[float, ...], str]:
-    """Return the size of a pixel as ImageJ or OME store it; see `pixel_size_of`."""
+    """Return the size of a pixel as ImageJ or OME store it; see `axes_of_tiff`."""
     with suppress(KeyError, TypeError, ValueError, ArithmeticError):  # invalid metadata
         if file.ome_metadata:
             sizes, unit = _ome_size(file)

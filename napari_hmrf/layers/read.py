@@ -33,7 +33,7 @@ from napari_hmrf.layers.metadata import (
 from napari_hmrf.layers.pixel_copy import LayerCopies
 from napari_hmrf.layers.result_layers import layer_on
 from napari_hmrf.layers.slice_view import View, check_size, frame_of, plane_shape, view_of
-from napari_hmrf.layers.stored_size import stored_size
+from napari_hmrf.layers.stored_axes import stored_axes
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.volume_memory import STUDY, require_memory
@@ -158,7 +158,7 @@ class _Reader:
         if (skew := self._frame.skew) > _RIGHT_ANGLE:
             sheared = f"the pixels are sheared by {skew:.1f} degrees, but treated as rectangles"
             self._notes.append(sheared)
-        self._note_stored_size()
+        self._note_stored_axes()
         if request.view is not None and request.view.tilts(self._frame):
             self._notes.append(
                 f"napari cannot display '{reference.name}' tilted relative to the slice plane, so "
@@ -168,13 +168,20 @@ class _Reader:
         if any(layer.multiscale for layer in request.grid_layers):
             self._notes.append(f"computed on the finest level, {grid_in_words(self._shape)}")
 
-    def _note_stored_size(self) -> None:
-        """Note that the file of the reference states a size of its pixels, which napari ignores."""
-        reference = self._reference
-        sizes, unit = stored_size(reference)
+    def _note_stored_axes(self) -> None:
+        """Note what the file of the reference states about its axes, which napari ignores."""
+        reference, plane = self._reference, self._frame.plane
+        contents, sizes, unit = stored_axes(reference)
+        content = contents[plane[0]] if contents and len(plane) == 3 else ""
+        if content:
+            raise LayerError(
+                reference,
+                f"is a stack of {self._shape[0]} {content}, not a volume. Choose one of its slices "
+                "instead of the volume.",
+            )
         if not sizes:
             return
-        seen = [sizes[axis] for axis in self._frame.plane]
+        seen = [sizes[axis] for axis in plane]
         if max(seen) > (1 + SAME_SPACING) * min(seen):
             raise LayerError(
                 reference,

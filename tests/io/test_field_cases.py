@@ -410,6 +410,20 @@ def test_a_picture_without_a_pixel_size_can_be_given_one(tmp_path, capsys):
     assert "a unit" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("axes", ["CYX", "TYX"])
+def test_one_channel_or_time_of_a_stack_can_be_chosen(tmp_path, axes):
+    path = write_tiff(tmp_path / "a.tif", axes)
+    assert read_case(Case(path, slice=1)).grid.shape == (8, 9)
+    assert Grid.from_image(path, slice=1).shape == (8, 9)
+    viewer = ViewerModel()
+    with layer_source(path=str(path)):
+        layer = viewer.add_image(tifffile.imread(path))
+    chosen = Request(image=layer, view=View.of(viewer.dims))
+    assert study_from_layers(chosen).grid.shape == (8, 9)
+    with pytest.raises(ProblemError, match=r"3 (channels|times)"):
+        study_from_layers(replace(chosen, view=View.of(viewer.dims, volume=True)))
+
+
 def test_pictures_with_pixels_of_different_units_are_not_compared(tmp_path):
     one, other = (tmp_path / name for name in ("one.tif", "other.tif"))
     write_tiff(one, "YX", (0.5, 0.5))
