@@ -251,7 +251,7 @@ class Archive(Generic[T]):
 
 def first_fault(error: ValidationError) -> str:
     """Return the place and the message of the first error of a validation."""
-    first = error.errors()[0]
+    first = error.errors(include_url=False, include_context=False, include_input=False)[0]
     parts = ".".join(map(str, first["loc"])), first["msg"].removeprefix("Value error, ")
     return ": ".join(filter(None, parts))
 

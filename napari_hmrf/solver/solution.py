@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import Field, PositiveFloat
+from pydantic import FailFast, Field, PositiveFloat
 
 from napari_hmrf.archive import STORED, Archive
 from napari_hmrf.arguments import is_one_of, refuse_unless, require_flag, shown
@@ -138,7 +138,7 @@ class Solution:
 
     displacement: FiniteArray
     energy: npt.NDArray[np.float64]
-    levels: tuple[LevelRun, ...]
+    levels: Annotated[tuple[LevelRun, ...], FailFast()]
     tissue: npt.NDArray[np.bool_]
     spacing: tuple[PositiveFloat, ...]
     provenance: Provenance
