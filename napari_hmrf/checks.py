@@ -24,6 +24,8 @@ _CONFIG = ConfigDict(extra="forbid", arbitrary_types_allowed=True)
 
 #: Range of Poisson's ratio in which tissue is stable and compressible.
 POISSON_RANGE = (0.0, 0.499)
+#: Range of penalties for which products of forces do not overflow or underflow.
+PENALTY_RANGE = (1e-30, 1e30)
 #: Largest stiffness, the largest number in single precision; above, it would become infinite.
 LARGEST_STIFFNESS = 3.4028234663852886e38
 #: Largest growth, as a strain; larger values were probably given in per cent.
@@ -109,6 +111,21 @@ Spread = Annotated[
 ]
 #: Confidence of an observation, which would have no effect at 0.
 PositiveShare = Annotated[_BOUNDED, Field(gt=0, le=1), Words("a number above 0, up to 1")]
+#: Strength of observations.
+Penalty = Annotated[
+    _BOUNDED,
+    Field(ge=PENALTY_RANGE[0], le=PENALTY_RANGE[1]),
+    Words("a number from {:g} to {:g}".format(*PENALTY_RANGE)),
+]
+#: Count of samples or iterations.
+Count = Annotated[int, Field(ge=1), Words("a whole number of at least 1")]
+#: Step sizes.
+Steps = Annotated[
+    tuple[Annotated[_BOUNDED, Field(gt=0)], ...],
+    Field(min_length=1, strict=True),
+    BeforeValidator(_plain),
+    Words("positive numbers, such as (1, 0.1)"),
+]
 #: Amount of work, which may be unlimited.
 Budget = Annotated[float, Field(gt=0), Words("a number above 0, or inf")]
 #: Confidence or share.

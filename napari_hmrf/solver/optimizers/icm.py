@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sized
 from dataclasses import KW_ONLY, asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from napari_hmrf.arguments import is_whole, real, reals, refuse_unless
+from napari_hmrf.checks import Count, Positive, Steps, checked
 from napari_hmrf.errors import ArgumentError, ConvergenceError
 from napari_hmrf.solver.backends.base import Backend, FloatArray, SiteRule
 from napari_hmrf.solver.backends.earlier_results import WarmStart
@@ -35,7 +33,7 @@ _RISE = 0.01
 _ROUNDING = 1e-8
 
 
-@dataclass(frozen=True)
+@checked
 class ICM:
     """Schedule of the paper: top-down through the quadtree, all sites simultaneously (Alg. 3.7).
 
@@ -54,27 +52,10 @@ class ICM:
         By default, all sweeps run.
     """
 
-    iterations: int = 70
+    iterations: Count = 70
     _: KW_ONLY
-    steps: tuple[float, ...] | None = (1.0, 0.1, 0.01, 0.001)
-    energy_change: float | None = None
-
-    def __post_init__(self) -> None:
-        enough = is_whole(self.iterations) and self.iterations >= 1
-        refuse_unless(enough, "iterations", self.iterations, "a positive whole number")
-        object.__setattr__(self, "iterations", int(self.iterations))
-        if self.steps is not None:
-            steps = reals(
-                self.steps, max(1, len(self.steps) if isinstance(self.steps, Sized) else 0)
-            )
-            positive = all(math.isfinite(step) and step > 0 for step in steps)
-            expected = "positive numbers, such as (1, 0.1), or None for the closed form"
-            refuse_unless(positive, "steps", self.steps, expected)
-            object.__setattr__(self, "steps", steps)
-        change = self.energy_change
-        refuse_unless(
-            change is None or real(change) > 0, "energy_change", change, "a positive number or None"
-        )
+    steps: Steps | None = (1.0, 0.1, 0.01, 0.001)
+    energy_change: Positive | None = None
 
     @property
     def parameters(self) -> dict[str, Any]:

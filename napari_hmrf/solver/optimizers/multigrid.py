@@ -6,13 +6,12 @@ the wavelengths that it resolves.
 
 from __future__ import annotations
 
-import math
-from dataclasses import KW_ONLY, asdict, dataclass
+from dataclasses import KW_ONLY, asdict
 from typing import Any
 
 import numpy as np
 
-from napari_hmrf.arguments import is_whole, real, refuse_unless
+from napari_hmrf.checks import Count, Positive, checked
 from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.base import Backend
@@ -52,7 +51,7 @@ _NEGLIGIBLE = 0.01
 _MILD_GRIP = 0.05
 
 
-@dataclass(frozen=True)
+@checked
 class Multigrid:
     """Schedule of a Krylov iteration with a V-cycle, Chebyshev-Jacobi smoothing, and refinement.
 
@@ -88,19 +87,10 @@ class Multigrid:
         half of the budget; the solve then begins again from rest, with the whole budget.
     """
 
-    tolerance: float = 1e-3
+    tolerance: Positive = 1e-3
     _: KW_ONLY
-    max_iterations: int = 300
-    budget: float | None = 60.0
-
-    def __post_init__(self) -> None:
-        positive = 0 < real(self.tolerance) < math.inf
-        refuse_unless(positive, "tolerance", self.tolerance, "a positive number, in pixels")
-        most = self.max_iterations
-        enough = is_whole(most) and most >= 1
-        refuse_unless(enough, "max_iterations", most, "a positive whole number")
-        enough = self.budget is None or 0 < real(self.budget) < math.inf
-        refuse_unless(enough, "budget", self.budget, "a positive number of linear solves, or None")
+    max_iterations: Count = 300
+    budget: Positive | None = 60.0
 
     @property
     def parameters(self) -> dict[str, Any]:

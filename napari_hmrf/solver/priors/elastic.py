@@ -17,13 +17,13 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import KW_ONLY, dataclass, replace
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.arguments import is_one_of, real, refuse_unless
-from napari_hmrf.checks import POISSON_RANGE
+from napari_hmrf.arguments import real
+from napari_hmrf.checks import POISSON_RANGE, Choice, Penalty, Poisson, convert
 from napari_hmrf.errors import ArgumentError, ProblemError
 from napari_hmrf.solver.data_term import DataTerm
 from napari_hmrf.solver.priors.elements import (
@@ -46,8 +46,6 @@ Plane = Literal["stress", "strain"]
 #: Default penalty K (eq. 19) of doubted observations. A force of 1 strains a pixel of the stiffest
 #: tissue by 1.
 DOUBTED_PENALTY = 1.0
-#: Range of penalties for which products of forces do not overflow or underflow.
-PENALTY_RANGE = (1e-30, 1e30)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,14 +81,9 @@ class ElasticPrior:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "poisson", _checked_poisson(self.poisson))
-        known = is_one_of(self.plane, get_args(Plane))
-        refuse_unless(known, "plane", self.plane, '"stress" or "strain"')
-        if self.penalty is not None:
-            penalty, (low, high) = real(self.penalty), PENALTY_RANGE
-            in_range = low <= penalty <= high or penalty == math.inf
-            expected = f"a number from {low:g} to {high:g}, inf or None"
-            refuse_unless(in_range, "penalty", self.penalty, expected)
-            object.__setattr__(self, "penalty", penalty)
+        convert(Annotated[Plane, Choice()], self.plane, "plane")
+        if self.penalty is not None and real(self.penalty) != math.inf:
+            object.__setattr__(self, "penalty", convert(Penalty, self.penalty, "penalty"))
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -279,12 +272,9 @@ class ElasticPrior:
 
 def _checked_poisson(value: Any) -> float | npt.NDArray[np.float32]:
     """Return Poisson's ratio as a float, or as a read-only copy of an array."""
-    low, high = POISSON_RANGE
     given = as_numbers("poisson", value)
     if given.ndim == 0:
-        in_range = low <= float(given) <= high
-        refuse_unless(in_range, "poisson", value, f"from {low:g} to {high:g}")
-        return float(given)
+        return float(convert(Poisson, given, "poisson"))
     with np.errstate(over="ignore"):  # values that overflow are refused as out of range
         poisson = np.array(given, dtype=np.float32, order="C")
     if poisson.ndim not in (2, 3):

@@ -17,14 +17,15 @@ A clique exists if all three sites are in the image and in tissue.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import KW_ONLY, asdict, replace
 from functools import reduce
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.arguments import is_one_of, real, refuse_unless, require_kind
+from napari_hmrf.arguments import require_kind
+from napari_hmrf.checks import PENALTY_RANGE, Choice, Penalty, PositiveShare, checked
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.data_term import refuse_data
 from napari_hmrf.solver.priors.cliques import (
@@ -44,8 +45,6 @@ Conditional = Literal["centred", "blanket"]
 # K in uniform tissue, by number of axes. One pixel of deviation from the observation then has the
 # same energy as a difference of 200 pixels from the neighbours.
 _UNIFORM_PENALTY = {2: 1e4, 3: 3e4}
-# Range of penalties; outside this range, float32 energies would overflow or underflow.
-_SMALLEST_PENALTY, _LARGEST_PENALTY = 1e-30, 1e30
 
 
 class SiteParabola(NamedTuple):
@@ -55,7 +54,7 @@ class SiteParabola(NamedTuple):
     lowest: Float64Array
 
 
-@dataclass(frozen=True, kw_only=True)
+@checked
 class SeilerPrior:
     """Prior and observation energy of the paper (eqs. 8-11 and 16-19).
 
@@ -81,19 +80,10 @@ class SeilerPrior:
         ``ICM(steps=None)`` raises a `ConvergenceError` if the energy of its sweeps rises.
     """
 
-    penalty: float | None = None
-    conditional: Conditional = "centred"
-    damping: float | None = None
-
-    def __post_init__(self) -> None:
-        low, high = _SMALLEST_PENALTY, _LARGEST_PENALTY
-        in_range = self.penalty is None or low <= real(self.penalty) <= high
-        expected = f"a number from {low:g} to {high:g}, or None"
-        refuse_unless(in_range, "penalty", self.penalty, expected)
-        known = is_one_of(self.conditional, get_args(Conditional))
-        refuse_unless(known, "conditional", self.conditional, '"centred" or "blanket"')
-        damped = self.damping is None or 0 < real(self.damping) <= 1
-        refuse_unless(damped, "damping", self.damping, "a number above 0 and up to 1, or None")
+    _: KW_ONLY
+    penalty: Penalty | None = None
+    conditional: Annotated[Conditional, Choice()] = "centred"
+    damping: PositiveShare | None = None
 
     @property
     def parameters(self) -> dict[str, Any]:
@@ -130,7 +120,7 @@ class SeilerPrior:
         )
         uniform = 8.0 * float(weights.sum(axis=0).max())
         penalty = _UNIFORM_PENALTY[len(problem.shape)] * max(1.0, steepest / uniform)
-        return min(penalty, _LARGEST_PENALTY)
+        return min(penalty, PENALTY_RANGE[1])
 
     def resolved(self, problem: Problem) -> SeilerPrior:
         """Check that the prior supports the problem, and return the prior with its penalty.
