@@ -41,88 +41,15 @@ For more, see ``help(napari_hmrf.solve_study)``, ``help(napari_hmrf.Study)`` and
 ``help(napari_hmrf.fields)``, and the folders ``examples`` and ``docs`` of the repository. To use
 the graphical interface, start ``napari`` and choose *Plugins > Soft tissue*.
 
-Importing this package does not import napari, Qt, OpenGL, numba or SciPy.
+Names are imported on first use; importing the packages does not import napari, Qt, OpenGL, numba or
+SciPy.
 """
 
-from importlib import import_module
-from typing import Any
-
-from napari_hmrf.errors import (
-    ArgumentError,
-    BackendError,
-    Cancelled,
-    ConvergenceError,
-    FileFormatError,
-    HmrfError,
-    NoteWarning,
-    ProblemError,
-)
-from napari_hmrf.field.warp import warp
-from napari_hmrf.io.study_file import read_study, write_study
-from napari_hmrf.io.study_file import replay as _replay
-from napari_hmrf.solver.live_solver import LiveSolver, Update
-from napari_hmrf.solver.note_warnings import warning_of_notes
-from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid
-from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, SeilerPrior
-from napari_hmrf.solver.problem import Problem
-from napari_hmrf.solver.solution import Provenance, Solution
-from napari_hmrf.solver.solve import solve as _solve
-from napari_hmrf.study.ground import build_problem
-from napari_hmrf.study.ground import solve_study as _solve_study
-from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
-from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
-from napari_hmrf.tissue.cavity import Cavity
-from napari_hmrf.tissue.drawing import Arrow, Drawing, Landmark, Stroke
-
-solve = warning_of_notes(_solve)
-solve_study = warning_of_notes(_solve_study)
-replay = warning_of_notes(_replay)
+import lazy_loader
 
 __version__ = "0.1.0"
 
-__all__ = [
-    "ICM",
-    "ArgumentError",
-    "Arrow",
-    "BackendError",
-    "BoundaryRule",
-    "Cancelled",
-    "Cavity",
-    "ConvergenceError",
-    "Drawing",
-    "ElasticPrior",
-    "FileFormatError",
-    "Grid",
-    "HmrfError",
-    "Landmark",
-    "LiveSolver",
-    "Material",
-    "Monitor",
-    "Motion",
-    "Multigrid",
-    "NeoHookeanPrior",
-    "NoteWarning",
-    "Pictures",
-    "Problem",
-    "ProblemError",
-    "Provenance",
-    "SeilerPrior",
-    "Solution",
-    "Stroke",
-    "Study",
-    "Tissue",
-    "Update",
-    "__version__",
-    "build_problem",
-    "read_study",
-    "replay",
-    "solve",
-    "solve_study",
-    "warp",
-    "write_study",
-]
-
-#: Names of the public submodules; each submodule is imported on first access.
+#: Names of the public submodules.
 _PACKAGES = (
     "cases",
     "data",
@@ -134,13 +61,10 @@ _PACKAGES = (
     "registration",
     "tissue",
 )
-
-
-def __getattr__(name: str) -> Any:
-    if name in _PACKAGES:
-        return import_module(f"{__name__}.{name}")
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+# The stub, `__init__.pyi`, states the module of each public name.
+__getattr__, _, _names = lazy_loader.attach_stub(__name__, __file__)
+__all__ = ["__version__", *(name for name in _names if name not in _PACKAGES)]
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_PACKAGES})
+    return sorted({*globals(), *_names})

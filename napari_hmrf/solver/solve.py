@@ -26,17 +26,13 @@ from napari_hmrf.errors import (
     ConvergenceError,
     ProblemError,
 )
-from napari_hmrf.solver.backends import (
-    BACKEND_NAMES,
-    Choice,
-    SolveJob,
-    host,
-    open_backend,
-)
+from napari_hmrf.solver.backends import BACKEND_NAMES, host
 from napari_hmrf.solver.backends.base import Backend
+from napari_hmrf.solver.backends.choice import Choice, open_backend
 from napari_hmrf.solver.backends.compile_cache import sets
 from napari_hmrf.solver.backends.compile_cache.loops import are_compiled
 from napari_hmrf.solver.backends.earlier_results import WarmStart
+from napari_hmrf.solver.backends.job import SolveJob
 from napari_hmrf.solver.backends.thread import STOPPED, compute_thread
 from napari_hmrf.solver.caveats import rigid_caveat
 from napari_hmrf.solver.connected import Connected, connected

@@ -16,7 +16,7 @@ from napari_hmrf import (
     read_study,
     write_study,
 )
-from napari_hmrf.solver.note_warnings import warning_of_notes
+from napari_hmrf.note_warnings import warning_of_notes
 from napari_hmrf.solver.solve import solve
 from napari_hmrf.study.ground import at_place_of
 

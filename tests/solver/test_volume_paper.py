@@ -9,8 +9,9 @@ import pytest
 
 from napari_hmrf import Multigrid, Problem, SeilerPrior, Solution, solve
 from napari_hmrf.errors import BackendError, Cancelled, ConvergenceError, ProblemError
-from napari_hmrf.solver.backends import SiteRule, host
+from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.arrays.seiler import ArraySeilerModel
+from napari_hmrf.solver.backends.base import SiteRule
 from napari_hmrf.solver.backends.cpu import CpuBackend
 from napari_hmrf.solver.backends.cpu.volume_seiler_model import CpuVolumeSeilerModel
 from napari_hmrf.solver.backends.thread import compute_thread

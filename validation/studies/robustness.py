@@ -77,7 +77,7 @@ from napari_hmrf.io.uncertainty_files import write_uncertainty
 from napari_hmrf.landmarks import write_points
 from napari_hmrf.posterior import Uncertainty
 from napari_hmrf.random import RandomDeformation
-from napari_hmrf.solver.backends import compute_thread
+from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.material_presets import PRESETS
 from napari_hmrf.tissue.tissue_names import materials_by_name

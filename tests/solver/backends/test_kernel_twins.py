@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from napari_hmrf import ICM, Problem, SeilerPrior, solve
-from napari_hmrf.solver.backends import SiteRule
+from napari_hmrf.solver.backends.base import SiteRule
 from napari_hmrf.solver.backends.cpu import CpuBackend
 from napari_hmrf.solver.backends.opengl import OpenGLBackend
 from napari_hmrf.solver.backends.opengl.context.device import the_device

@@ -32,8 +32,9 @@ from napari_hmrf import (
     warp,
 )
 from napari_hmrf.data import phantom
-from napari_hmrf.solver.backends import COMPILING, SolveJob, open_backend
+from napari_hmrf.solver.backends.choice import COMPILING, open_backend
 from napari_hmrf.solver.backends.compile_cache import compiler, disk_cache, loader, loops
+from napari_hmrf.solver.backends.job import SolveJob
 from napari_hmrf.solver.backends.thread import compute_thread
 from tests.support.opengl import require_opengl
 from tests.support.timeouts import LONG

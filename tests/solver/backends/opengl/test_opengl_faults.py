@@ -20,7 +20,9 @@ import sys
 import numba  # otherwise imported by every child
 
 from napari_hmrf import BackendError, ElasticPrior, Multigrid
-from napari_hmrf.solver.backends import SolveJob, compute_thread, open_backend
+from napari_hmrf.solver.backends.choice import open_backend
+from napari_hmrf.solver.backends.job import SolveJob
+from napari_hmrf.solver.backends.thread import compute_thread
 
 image = SolveJob((9, 9), (1.0, 1.0), ElasticPrior(), Multigrid())
 
