@@ -140,7 +140,7 @@ class Solution:
     energy: npt.NDArray[np.float64]
     levels: Annotated[tuple[LevelRun, ...], FailFast()]
     tissue: npt.NDArray[np.bool_]
-    spacing: tuple[PositiveFloat, ...]
+    spacing: Annotated[tuple[PositiveFloat, ...], FailFast()]
     provenance: Provenance
     convergence: Convergence | None = None
     frame: Mapping[str, Any] | None = None
