@@ -267,8 +267,8 @@ def read_field(path: str | os.PathLike[str], *, forward: bool = False) -> Field:
 def is_field_file(path: str | os.PathLike[str]) -> bool:
     """Return whether a file contains a displacement field.
 
-    The result is also True for a damaged file, so that `read_field` can report the error. It is
-    False if SimpleITK is not installed.
+    Only the header of the file is read. The result is False if the package that reads it is not
+    installed.
     """
     source = Path(path)
     if not source.name.lower().endswith((*FIELD_SUFFIXES, ".mhd")) or not source.is_file():

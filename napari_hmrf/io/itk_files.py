@@ -8,6 +8,7 @@ not tried on damaged files.
 from __future__ import annotations
 
 import importlib.util
+import threading
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -23,6 +24,8 @@ from napari_hmrf.regular_file import refuse_irregular
 
 T = TypeVar("T")
 
+#: Held while SimpleITK is used: its library for NRRD keeps errors in a global variable.
+_LOCK = threading.Lock()
 _HDF5 = (".h5", ".hdf5")
 #: Suffixes of formats whose readers in SimpleITK neither crash nor hang on damaged files.
 _ROBUST = (".mha", ".mhd", ".nrrd", ".nhdr", *itk_reader.TEXTS)
@@ -147,7 +150,8 @@ def encode(target: Path, image: ItkImage, suffix: str, *, transform: bool = Fals
                     image.pixels.nbytes, itk_reader.write, file, image, transform=transform
                 )
             else:
-                itk_reader.write(file, image, transform=transform)
+                with _LOCK:
+                    itk_reader.write(file, image, transform=transform)
         except (RuntimeError, NotImplementedError, TypeError, ChildDied):
             file.unlink(missing_ok=True)
             raise_for_space(target, image.pixels.nbytes)
@@ -179,11 +183,14 @@ def has_simpleitk() -> bool:
 
 def _call(function: Callable[[Path], T], source: Path) -> T:
     """Call a function of `itk_reader`, in a child process if the file may crash or hang it."""
-    if source.suffix.lower() in _ROBUST and not source.is_dir():
-        return function(source)
     require_simpleitk()
     try:
+        if source.suffix.lower() in _ROBUST and not source.is_dir():
+            with _LOCK:
+                return function(source)
         return call_in_child(_bytes_in(source), function, source)
+    except RuntimeError:
+        raise Unreadable("") from None
     except (ChildDied, MemoryError):
         raise Unreadable(
             "decoding it crashes, does not finish or takes too much memory, so it is probably "

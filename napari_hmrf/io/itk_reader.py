@@ -1,14 +1,15 @@
-"""Reading and writing of single files with SimpleITK, in the current process."""
+"""Reading and writing of single files with SimpleITK, in the current process.
+
+All functions may also raise `RuntimeError`, with messages that cite ITK's source files.
+"""
 
 from __future__ import annotations
 
 import math
 import re
 import zlib
-from collections.abc import Callable
-from functools import wraps
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,9 +18,6 @@ from napari_hmrf.field.units import unit_factor
 from napari_hmrf.geometry import Geometry
 from napari_hmrf.io.dicom_slices import Slice, check_frames, ordered
 from napari_hmrf.io.itk_image import CUT_SHORT, ItkImage, Unreadable, check_size, missing_package
-
-P = ParamSpec("P")
-T = TypeVar("T")
 
 #: ITK's readers by suffix. Without a name, ITK tries all its readers.
 READERS = {
@@ -38,6 +36,8 @@ _SPACING = ("spacings", "elementspacing", "elementsize")
 _PARTED = (".mhd", ".nhdr", ".hdr")
 #: Characters that are not in a text.
 _CONTROL = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f\x7f]")
+#: Field of a MetaImage header with more than nine axes, or with another value than a number.
+_MANY_AXES = re.compile(rb"NDims(?!\s*=\s*\d\s*$)")
 #: Values of fields for compressed pixels, and zlib's flag for both headers of compressed content.
 _PACKED, _ZLIB_OR_GZIP = ("true", "gz", "gzip"), 32
 #: Number of bytes that are decompressed at a time.
@@ -55,20 +55,6 @@ def _simpleitk() -> Any:
     return SimpleITK
 
 
-def _reading(function: Callable[P, T]) -> Callable[P, T]:
-    """Convert the errors of SimpleITK, whose messages cite its source files."""
-
-    @wraps(function)
-    def read(*arguments: P.args, **options: P.kwargs) -> T:
-        try:
-            return function(*arguments, **options)
-        except RuntimeError:
-            raise Unreadable("") from None
-
-    return read
-
-
-@_reading
 def read_head(path: Path) -> tuple[tuple[int, ...], bool]:
     """Return the number of pixels along each axis, ([z,] y, x), and whether pixels are vectors.
 
@@ -83,7 +69,6 @@ def read_head(path: Path) -> tuple[tuple[int, ...], bool]:
     return reader.GetSize()[::-1], is_field
 
 
-@_reading
 def read_pixels(path: Path) -> ItkImage:
     """Read an image.
 
@@ -99,7 +84,6 @@ def read_pixels(path: Path) -> ItkImage:
     return image._replace(geometry=image.geometry.scaled(unit))
 
 
-@_reading
 def read_transform(path: Path) -> ItkImage:
     """Read the displacement field of a transform.
 
@@ -135,7 +119,6 @@ def read_transform(path: Path) -> ItkImage:
     return _image(field)
 
 
-@_reading
 def read_series(folder: Path) -> ItkImage:
     """Read the only series in a folder of DICOM files.
 
@@ -233,13 +216,14 @@ def _bytes_of(reader: Any) -> int:
 def _text_header(path: Path) -> tuple[dict[str, str], int]:
     """Return the fields of a NRRD or MetaImage header, and its length in bytes.
 
-    ITK crashes if an NRRD header is not text, as where the blank line at its end is damaged.
+    ITK crashes if an NRRD header is not text, as where the blank line at its end is damaged, and
+    loops over any number of dimensions of a MetaImage.
     """
     is_nrrd = path.suffix.lower() in _NRRD
     fields = {}
     with open(path, "rb") as file:
         for line in file:
-            if _CONTROL.search(line):
+            if _CONTROL.search(line) or _MANY_AXES.search(line):
                 raise Unreadable("its header is damaged")
             key, _, value = line.decode("latin-1").partition(":" if is_nrrd else "=")
             fields[key.strip().lower()] = value.strip()

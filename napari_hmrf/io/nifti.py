@@ -146,7 +146,7 @@ def read_nifti_header(path: Path) -> NiftiHeader:
         components, shape = shape[4], shape[:4]
     while len(shape) > 3 and shape[-1] == 1:
         shape = shape[:-1]
-    if components == 2 and shape[2:] == (1,):
+    if components == 2 and shape[2:] == (1,):  # two components are a field on two axes
         shape = shape[:2]
     geometry = _geometry(affines, header["pixdim"][1:4], shape[::-1], millimetres)
     return NiftiHeader(header, kind, first, scaling, shape[::-1], components, geometry)
@@ -195,15 +195,15 @@ def _values(header: NiftiHeader, path: Path) -> npt.NDArray[Any]:
 
     kind, shape, components = header.kind, header.shape, header.components
     count = math.prod(shape) * components // len(kind.names or "1")
-    try:
-        with _opened(path) as stream:
-            ratio = MOST_PACKED if isinstance(stream, gzip.GzipFile) else 1
-            check_size(header.start + count * kind.itemsize, path, ratio)
+    with _opened(path) as stream:
+        ratio = MOST_PACKED if isinstance(stream, gzip.GzipFile) else 1
+        check_size(header.start + count * kind.itemsize, path, ratio)
+        try:
             values = array_from_file((count,), kind, stream, header.start, mmap=False)
             while stream.read(_PIECE):  # gzip compares its checksum at the end
                 pass
-    except _CORRUPT:
-        raise Unreadable(CUT_SHORT) from None
+        except _CORRUPT:
+            raise Unreadable(CUT_SHORT) from None
     if kind.names:
         return values.view(np.uint8).reshape(*shape, components)
     values = values.astype(kind.newbyteorder("="), copy=False)
@@ -288,11 +288,13 @@ def check_places(qform: Float64Array, sform: Float64Array, code: int, shape: Seq
     Raises
     ------
     Unreadable
-        If the places differ, or the sform is singular.
+        If the places differ, or an affine is singular.
     """
+    if code == _SCANNER:
+        return
     first, second = (lps_geometry(each, shape[::-1], 1.0) for each in (qform, sform))
     apart = first.farthest_from(second) / min(second.spacing)
-    if code != _SCANNER and apart > _OFF:
+    if apart > _OFF:
         raise Unreadable(
             f"its header states two places, qform and sform, which are up to {apart:.3g} pixels "
             "apart, and programs differ in which they use. Copy the right one to the other, for "

@@ -87,6 +87,15 @@ def test_an_nrrd_file_whose_header_is_no_text_is_refused(tmp_path):
         read_field(path)
 
 
+def test_a_metaimage_file_of_many_axes_is_refused(tmp_path):
+    """ITK would read without end."""
+    path = tmp_path / "a.mha"
+    make_foreign(path)
+    path.write_bytes(path.read_bytes().replace(b"NDims = 2", b"NDims = 999999999"))
+    with pytest.raises(FileFormatError, match="header is damaged"):
+        read_field(path)
+
+
 def test_a_device_or_a_pipe_is_refused_as_a_field_or_an_image(tmp_path):
     if os.name != "posix":
         pytest.skip("needs named pipes (POSIX)")

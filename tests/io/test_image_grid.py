@@ -59,7 +59,7 @@ def scan():
 def nibabel_of(image, unit="mm"):
     """Return the image as nibabel stores it: axes x, y, z, in millimetres in RAS+ coordinates.
 
-    nibabel is not installed for tests, so this object has only the attributes that are read.
+    The object has only the attributes that are read.
     """
     n = 3
     affine = np.eye(4)
