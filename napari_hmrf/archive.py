@@ -53,7 +53,7 @@ _HEADER = "header"
 _HARMLESS = 2**30
 #: Largest ratio of larger arrays to the size of their file. Images of a scan have a ratio below 10,
 #: constant images, as in decompression bombs, of 1000.
-_MOST_PACKED = 100
+_MOST_PACKED = 1032
 #: Largest nesting depth of a header.
 _DEEPEST = 32
 #: Errors that zipfile, NumPy and JSON raise on invalid bytes.

@@ -15,6 +15,7 @@ import secrets
 import shutil
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
@@ -326,14 +327,25 @@ class _Worker:
 
     def __init__(self, solve_one: _Solve) -> None:
         self._solve_one = solve_one
+        self._lock, self._is_stopped = threading.Lock(), False
         self._start()
 
     def _start(self) -> None:
-        context = multiprocessing.get_context("spawn")
-        self._pipe, child_end = context.Pipe()
-        self.process = context.Process(target=_work, args=(child_end, self._solve_one), daemon=True)
-        self.process.start()
-        child_end.close()  # otherwise `recv` would not notice that the process has ended
+        with self._lock:
+            if self._is_stopped:
+                return
+            context = multiprocessing.get_context("spawn")
+            self._pipe, child_end = context.Pipe()
+            given = child_end, self._solve_one
+            self.process = context.Process(target=_work, args=given, daemon=True)
+            self.process.start()
+            child_end.close()  # otherwise `recv` would not notice that the process has ended
+
+    def stop(self) -> None:
+        """End the process, and start no other one."""
+        with self._lock:
+            self._is_stopped = True
+            self.process.terminate()
 
     def solve(self, case: NamedCase) -> CaseOutcome:
         """Return the outcome of a case, or a failure if the process ends during the case."""
@@ -355,10 +367,8 @@ def _processes(solve_one: _Solve, count: int) -> Iterator[_Submit]:
     A thread waits for each process. In a `ProcessPoolExecutor`, the crash of one process would also
     end the cases in progress in all other processes.
     """
-    workers = [_Worker(solve_one) for _ in range(count)]
+    workers: list[_Worker] = []
     idle = SimpleQueue[_Worker]()
-    for worker in workers:
-        idle.put(worker)
 
     def solve(case: NamedCase) -> CaseOutcome:
         worker = idle.get()
@@ -369,11 +379,14 @@ def _processes(solve_one: _Solve, count: int) -> Iterator[_Submit]:
 
     threads = ThreadPoolExecutor(max(count, 1))
     try:
+        for _ in range(count):
+            workers.append(_Worker(solve_one))
+            idle.put(workers[-1])
         yield lambda case: threads.submit(solve, case)
     finally:
         threads.shutdown(wait=False, cancel_futures=True)
         for worker in workers:
-            worker.process.terminate()
+            worker.stop()
         threads.shutdown()
         for worker in workers:
             worker.process.join()

@@ -13,12 +13,10 @@ from multiprocessing.spawn import get_executable
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
-import psutil
-
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.io.itk_image import MOST_PACKED
 
-if sys.platform != "win32":
+if sys.platform == "linux":
     import resource
 
 P = ParamSpec("P")
@@ -28,13 +26,10 @@ T = TypeVar("T")
 _LEAST_SECONDS, _SECONDS_PER_MB = 10.0, 2.0
 #: Memory allowed for any call, in bytes, and largest memory divided by the size of the file.
 _LEAST_MEMORY, _LARGEST_RATIO = 2 * 2**30, 4 * MOST_PACKED
-#: Program of the child process. The public names of the package, which take a second to import, are
-#: not imported.
+#: Program of the child process.
 _PROGRAM = """
-import sys, types
-package = types.ModuleType("napari_hmrf")
-package.__path__ = [sys.argv[1]]
-sys.modules["napari_hmrf"] = package
+import sys
+sys.path.insert(0, sys.argv[1])
 from napari_hmrf.io.child_process import main
 main()
 """
@@ -56,8 +51,8 @@ def call_in_child(
     Parameters
     ----------
     size : int
-        Size of the file that the function reads or writes, in bytes; it limits the time and the
-        memory.
+        Size of the file that the function reads or writes, in bytes; it limits the time and, on
+        Linux, the memory.
     function : callable
         Function of a module. Its arguments, its result and its errors are pickled.
     *arguments, **options
@@ -75,7 +70,7 @@ def call_in_child(
     limits = _LEAST_SECONDS + _SECONDS_PER_MB * size / 1e6, _LEAST_MEMORY + _LARGEST_RATIO * size
     # An application that is frozen into one program has no interpreter.
     python = "" if getattr(sys, "frozen", False) else get_executable() or ""
-    command = [python, "-P", "-c", _PROGRAM, str(Path(__file__).parents[1])]
+    command = [python, "-P", "-c", _PROGRAM, str(Path(__file__).parents[2])]
     paths = os.pathsep.join(os.path.abspath(each) for each in sys.path)
     try:
         process = subprocess.Popen(
@@ -118,8 +113,8 @@ def main() -> None:
     (seconds, memory), function, arguments, options = pickle.load(sys.stdin.buffer)
     results.write(_READY)
     results.flush()
-    if sys.platform != "win32":
-        used = psutil.Process().memory_info().vms
+    if sys.platform == "linux":
+        used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
         _, most = resource.getrlimit(resource.RLIMIT_AS)
         with suppress(ValueError, OSError):  # above a limit of this system
             resource.setrlimit(resource.RLIMIT_AS, (used + memory, most))

@@ -29,6 +29,8 @@ from napari_hmrf.regular_file import refuse_irregular
 
 #: Axes of .tif files that are not axes of space, with their content, and the unit of OME's sizes.
 _NO_SPACE, _OME_UNIT = {"C": "channels", "T": "times"}, "µm"
+#: Names of the unit of images without a known size of pixels.
+_PIXELS = ("pixel", "pixels", "px")
 #: Units of length in .tif files, which have several names there.
 _UNITS = ("µm", "nm", "mm", "cm", "inch")
 #: Types of pixels in files of ImageJ.
@@ -486,6 +488,8 @@ def _pixel_size(file: Any, axes: str) -> tuple[tuple[float, ...], str]:
 
 def length_unit(name: str) -> str:
     """Return the usual symbol of a unit of length, such as "µm" for "micron", or its name."""
+    if name.casefold() in _PIXELS:  # otherwise "px" would be 1/96 inch
+        return "pixel"
     return next((each for each in _UNITS if math.isclose(unit_factor(name, each), 1.0)), name)
 
 
@@ -539,7 +543,7 @@ def _imagej_size(file: Any) -> tuple[dict[str, float], str]:
     stated, tags = file.imagej_metadata, file.pages[0].tags
     unit = stated.get("unit", "").replace("\\u00B5", "µ") or "pixel"
     sizes = {"Z": float(stated.get("spacing", 1.0)), "Y": 1.0, "X": 1.0}
-    if unit.startswith("pixel"):
+    if length_unit(unit) == "pixel":
         return sizes, "pixel"
     for axis in "YX":
         above, below = tags[f"{axis}Resolution"].value

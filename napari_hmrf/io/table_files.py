@@ -167,8 +167,11 @@ def _json_table(file: str, text: str) -> Table[dict[str, Any]]:
         raise FileFormatError(
             f'{file} is not a table. Give a list of rows, such as [{{"label": 1, ...}}, ...].'
         )
-    places = [(f"row {number}", row) for number, row in enumerate(rows, 1)]
-    return Table(file, list(dict.fromkeys(chain.from_iterable(rows))), places, about)
+    filled = [
+        {_title(name): value for name, value in row.items() if value is not None} for row in rows
+    ]
+    places = [(f"row {number}", row) for number, row in enumerate(filled, 1)]
+    return Table(file, list(dict.fromkeys(chain.from_iterable(filled))), places, about)
 
 
 def _title(cell: str) -> str:

@@ -22,7 +22,7 @@ Cells that the action of a rule does not use must be empty or have no effect.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -117,10 +117,7 @@ def read_preset(path: str | os.PathLike[str]) -> Preset:
     table = read_rows(path, Material, defaults={"name": ""}, comments=("source",))
     _refuse_duplicates(table)
     rows = [row for _, row in table.rows]
-    if not any(row.stiffness for row in rows):
-        raise FileFormatError(
-            f"{table.file} has no stiffness above 0. Give each tissue a stiffness."
-        )
+    _refuse_void(rows, table.file)
     named = tuple(row if row.name else replace(row, name=f"tissue {row.label}") for row in rows)
     about = {"name": "", "unit": "", "source": f"the file {table.file}", **table.about}
     about["name"] = about["name"] or Path(table.file).stem
@@ -128,6 +125,11 @@ def read_preset(path: str | os.PathLike[str]) -> Preset:
         return Preset(**about, materials=named)
     except ArgumentError as error:
         raise FileFormatError(f"{table.file}: {error}.") from None
+
+
+def _refuse_void(materials: Iterable[Material], file: str) -> None:
+    if not any(row.stiffness for row in materials):
+        raise FileFormatError(f"{file} has no stiffness above 0. Give each tissue a stiffness.")
 
 
 def write_preset(path: str | os.PathLike[str], preset: Preset) -> Path:
@@ -160,11 +162,14 @@ def write_preset(path: str | os.PathLike[str], preset: Preset) -> Path:
 
     Raises
     ------
+    FileFormatError
+        If no material has a stiffness, so that the file could not be read again.
     OSError
         If the file cannot be written.
     """
     target = Path(checked_target(path))
     target = target if target.suffix else target.with_suffix(ENDING)
+    _refuse_void(preset.materials, target.name)
     write_whole(target, _PRESET.dump_json(preset, indent=2) + b"\n")
     return target
 

@@ -59,3 +59,9 @@ def test_a_line_with_too_many_cells_is_refused(tmp_path):
 )
 def test_a_misspelt_word_is_matched_by_its_letters_or_its_meaning(word, near):
     assert nearest_word(word, ["label", "stiffness"], {"young's modulus": "stiffness"}) == near
+
+
+def test_an_empty_value_of_a_json_table_is_a_missing_cell(tmp_path):
+    (tmp_path / "t.json").write_text('[{"Label": 1, "name": null, "stiffness": 2}]')
+    ((_, cells),) = read_table(tmp_path / "t.json").rows
+    assert cells == {"label": 1, "stiffness": 2}

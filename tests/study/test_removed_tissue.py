@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from napari_hmrf import (
+    ArgumentError,
     Arrow,
     BoundaryRule,
     Cavity,
@@ -249,7 +250,7 @@ def test_removing_all_that_holds_heavy_tissue_is_rejected():
 @pytest.mark.parametrize("wrong", [{"pressure": np.nan}, {"fluid": -1}, {"level": -0.1}])
 def test_an_invalid_load_on_a_cavity_is_rejected(wrong):
     (name,) = wrong
-    with pytest.raises(ProblemError, match=name):
+    with pytest.raises(ArgumentError, match=name):
         Cavity(**wrong)
 
 

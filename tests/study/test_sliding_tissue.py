@@ -152,4 +152,4 @@ def test_the_shell_reads_tissue_that_slides_from_a_table(tmp_path, capsys):
     assert "(--model elastic)" in message
     csv.write_text("label,name,stiffness,slides\n1,muscle,1,maybe\n")
     assert main([*solve, "--force"]) == 1
-    assert "yes, if the tissue slides" in capsys.readouterr().err
+    assert "slides must be True or False (in a table: yes or no)" in capsys.readouterr().err

@@ -5,6 +5,7 @@ import pytest
 from scipy import ndimage
 
 from napari_hmrf import (
+    ArgumentError,
     Arrow,
     BoundaryRule,
     Drawing,
@@ -94,9 +95,9 @@ def test_an_edit_in_a_volume_redraws_only_its_bounding_box():
 
 
 def test_marks_of_two_and_three_axes_are_rejected():
-    with pytest.raises(ProblemError, match="two and in three axes"):
+    with pytest.raises(ArgumentError, match="must all be"):
         Arrow((1, 2, 3), (1, 0), 2)
-    with pytest.raises(ProblemError, match="paths of a brush"):
+    with pytest.raises(ArgumentError, match="must all be"):
         Stroke("pin", (((1, 2), (1, 2, 3)),), 2)
 
 

@@ -171,7 +171,9 @@ class Multigrid:
         if pulls is not None:
             check_reach(d, problem)
         compute_thread.check_cancelled()
-        energies = np.array(refinement.energies) / max(1, np.count_nonzero(problem.tissue))
+        # Tissue without an equation has one energy, after no iteration.
+        energies = np.array(refinement.energies if refinement.cycles else refinement.energies[-1:])
+        energies /= max(1, np.count_nonzero(problem.tissue))
         displacement, rounding = host.gathered(d, self.tolerance)
         if problem.is_volume:
             rounding *= 3  # the coefficients of the model are rounded, too

@@ -42,6 +42,7 @@ from napari_hmrf.solver.rigid_modes import check_held
 from napari_hmrf.solver.sliding_parts import refuse_sliding
 
 Plane = Literal["stress", "strain"]
+_PLANE = Annotated[Plane, Choice()]
 
 #: Default penalty K (eq. 19) of doubted observations. A force of 1 strains a pixel of the stiffest
 #: tissue by 1.
@@ -81,7 +82,7 @@ class ElasticPrior:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "poisson", _checked_poisson(self.poisson))
-        convert(Annotated[Plane, Choice()], self.plane, "plane")
+        convert(_PLANE, self.plane, "plane")
         if self.penalty is not None and real(self.penalty) != math.inf:
             object.__setattr__(self, "penalty", convert(Penalty, self.penalty, "penalty"))
 
