@@ -120,7 +120,7 @@ def notebook_page(text: str) -> str:
 
 def shell_commands() -> str:
     """Return the commands of the shell and their options as Markdown."""
-    from napari_hmrf.command_line import parser_of_commands
+    from napari_hmrf.cli import parser_of_commands
 
     parser = parser_of_commands()
     (commands,) = (

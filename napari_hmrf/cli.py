@@ -1,64 +1,168 @@
-"""Implementation of the ``napari-hmrf`` commands, and their output."""
+"""Command line of ``napari-hmrf``: its options and help are made from the classes of `commands`.
+
+The help imports only the standard library. The module `run`, which imports the solver, is imported
+when a command runs.
+"""
 
 from __future__ import annotations
 
 import argparse
-import logging
-import os
+import inspect
+import re
 import sys
-import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import MISSING, Field, fields
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any, Literal, NoReturn, get_args, get_origin
 
-import numpy as np
+import napari_hmrf
+from napari_hmrf import commands
+from napari_hmrf.arguments import did_you_mean
+from napari_hmrf.errors import ArgumentError
+from napari_hmrf.io import case_options
+from napari_hmrf.solver.model_names import as_word
 
-from napari_hmrf.augmentation.ground_truth import Truth, write_truth
-from napari_hmrf.command_line import parser_of_commands
-from napari_hmrf.errors import HmrfError, in_words
-from napari_hmrf.field.units import unit_symbol
-from napari_hmrf.field.warp import has_volume_loops
-from napari_hmrf.io.apply import apply_field, read_field_file, write_field_file
-from napari_hmrf.io.batch import SUMMARY, solve_cases
-from napari_hmrf.io.case import solve_case
-from napari_hmrf.io.case_options import Case, energy_of
-from napari_hmrf.io.case_tables import read_cases
-from napari_hmrf.io.fit_files import fit_file
-from napari_hmrf.io.images import read_image
-from napari_hmrf.io.moving_pictures import write_movie
-from napari_hmrf.io.overwriting import refuse_overwriting
-from napari_hmrf.io.registration_files import RegistrationCase, register_files
-from napari_hmrf.io.results import estimate_uncertainty, image_of, labels_in, measured
-from napari_hmrf.io.segmentation_tables import read_label_names
-from napari_hmrf.io.study_file import read_study, replay
-from napari_hmrf.io.tables import (
-    measurement_table,
-    write_measurements,
-    write_named_materials,
-)
-from napari_hmrf.samples.demo import SAMPLE_SIZE, demonstrate, table, write_results
-from napari_hmrf.samples.head import SAMPLE_SIZE as VOLUME_SIZE
-from napari_hmrf.samples.selftest import selftest
-from napari_hmrf.samples.volume_demo import demonstrate_volume, write_volume_results
-from napari_hmrf.solver.backends.compile_cache.loops import are_compiled
-from napari_hmrf.solver.backends.compile_cache.sets import EVERYTHING, VOLUMES
-from napari_hmrf.solver.model_names import MODELS, as_word
-from napari_hmrf.solver.optimizers import Monitor, Optimizer
-from napari_hmrf.solver.preparation import provide_loops
-from napari_hmrf.solver.priors import Elastic, Prior
-from napari_hmrf.solver.solution import SUM
-from napari_hmrf.solver.solve import solve
-from napari_hmrf.study.models import family_of, parts_of
-from napari_hmrf.tissue.boundary_rules import RIGID, stiffness_in_words
-from napari_hmrf.tissue.tissue_names import KnownTissue, NamedMaterials, materials_by_name
-from napari_hmrf.wording import in_words_of
+#: Types that the annotations of options name.
+_TYPES = vars(case_options) | vars(commands)
+#: Message of argparse about an unknown command: the argument, the word, and the known words.
+_CHOICE = re.compile(r"(.*?)invalid choice: '?([^' ]*)'? \(choose from (.*)\)$", re.DOTALL)
+#: Entry of a docstring: the names of fields, their type, and the text.
+_ENTRY = re.compile(r"^(\w[\w, ]*)(?: : .*)?\n((?:    .*(?:\n|$))+)", re.M)
 
-if TYPE_CHECKING:
-    from napari_hmrf.contributions import LayerData
-    from napari_hmrf.samples.demo import Demonstration
-    from napari_hmrf.solver.solution import Solution
+
+class _Parser(argparse.ArgumentParser):
+    """Parser whose errors are one sentence, with a suggestion for a misspelt word."""
+
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        options, rest = self.parse_known_args(args, namespace)
+        if rest:
+            wrong = next((word for word in rest if word.startswith("-")), rest[0])
+            known = [*options.parser._option_string_actions]
+            hint = did_you_mean(wrong.partition("=")[0], known) if wrong.startswith("-") else ""
+            options.parser.error(f"unrecognized argument {wrong}.{hint}")
+        return options
+
+    def error(self, message: str) -> NoReturn:
+        choice = _CHOICE.match(message)
+        if choice is not None:
+            hint = did_you_mean(choice[2], re.findall(r"[\w.-]+", choice[3]))
+            message = f"{choice[1]}there is no {choice[2]!r}.{hint} Choose from {choice[3]}."
+        self.exit(2, f"{self.prog}: error: {message}\nSee {self.prog} --help for all options.\n")
+
+
+class _Formatter(argparse.HelpFormatter):
+    """Help formatter that does not wrap the example, so that the user can copy it."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        return text if text.startswith("example: ") else super()._fill_text(text, width, indent)
+
+
+def parser_of_commands() -> argparse.ArgumentParser:
+    """Return the parser for all commands, which stores the class of a command as `command`."""
+    parser = _Parser(
+        prog="napari-hmrf",
+        description="Compute the deformation of soft tissue on the pixel grid of an image.",
+        epilog="napari-hmrf COMMAND --help describes a command and shows an example.",
+    )
+    version = f"napari-hmrf {napari_hmrf.__version__}"
+    parser.add_argument("--version", action="version", version=version)
+    added = parser.add_subparsers(required=True, metavar="COMMAND")
+    for kind in commands.COMMANDS:
+        text, _, example = _sections(kind)
+        sentence = text.partition("\n\n")[0].rstrip(".")
+        command = added.add_parser(
+            kind.__name__.lower(),
+            help=f"{sentence[0].lower()}{sentence[1:]}",
+            description=_in_shell(kind, text),
+            epilog=f"example: {example}",
+            formatter_class=_Formatter,
+            argument_default=argparse.SUPPRESS,
+        )
+        command.set_defaults(command=kind, parser=command)
+        help_of = _help_of(kind)
+        for each in fields(kind):
+            text = _in_shell(kind, help_of[each.name]).replace("%", "%%")
+            _add_option(command, each, text)
+    return parser
+
+
+def _add_option(command: argparse.ArgumentParser, option: Field[Any], text: str) -> None:
+    """Add an option; its value is text, and is converted when the command runs."""
+    is_list, content = re.findall(r"^(tuple\[)?(\w+)", str(option.type))[0]
+    type_of = _TYPES.get(content)
+    words = [as_word(word) for word in get_args(type_of)] if get_origin(type_of) is Literal else []
+    more: dict[str, Any] = {"nargs": "+"} if is_list else {}
+    if _is_argument(option):
+        command.add_argument(option.name, metavar=option.name.upper(), help=text, **more)
+        return
+    if option.default not in (MISSING, None, False, ()):
+        text = f"{text.rstrip('.')} (default: {option.default})"
+    names = ["-o"] if option.name == "out" else []
+    if option.metadata.get("flags"):
+        group = command.add_mutually_exclusive_group()
+        for word in words:
+            group.add_argument(
+                f"--{word}", action="store_const", const=word, dest=option.name, help=text
+            )
+    elif content == "Flag":
+        command.add_argument(_option(option.name), action="store_true", help=text)
+    else:
+        is_file = isinstance(type_of, type) and issubclass(type_of, Path | str)
+        metavar = f"{{{','.join(words)}}}" if words else content if is_file else option.name
+        more["metavar"] = metavar if words else metavar.upper()
+        required = option.default is MISSING
+        command.add_argument(*names, _option(option.name), required=required, help=text, **more)
+
+
+def _option(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
+
+
+def _sections(kind: type) -> tuple[str, str, str]:
+    """Return the description, the entries of the fields and the example of a docstring."""
+    text, _, example = inspect.cleandoc(kind.__doc__ or "").partition("\n\nExamples\n--------\n")
+    description, _, entries = text.partition("\n\nAttributes\n----------\n")
+    return description, entries, example
+
+
+def _help_of(kind: type) -> dict[str, str]:
+    """Return the help of each field, also of those of the base classes."""
+    return {
+        name: text
+        for each in reversed(kind.__mro__[:-1])
+        for names, text in _ENTRY.findall(_sections(each)[1])
+        for name in names.split(", ")
+    }
+
+
+def _in_shell(kind: type, text: str) -> str:
+    """Return text of a docstring on one line, in which a field has its name in the shell."""
+    arguments = {each.name for each in fields(kind) if _is_argument(each)}
+
+    def name_of(match: re.Match[str]) -> str:
+        return match[1].upper() if match[1] in arguments else _option(match[1])
+
+    return re.sub(r"`(\w+)`", name_of, " ".join(text.split()))
+
+
+def _is_argument(option: Field[Any]) -> bool:
+    """Return whether a field is an argument, which is given by position."""
+    return option.default is MISSING and not option.kw_only
+
+
+def read_command(arguments: Sequence[str] | None = None) -> Any:
+    """Return the command, one of `commands.COMMANDS`, that is given by arguments of the shell.
+
+    An invalid argument ends the process with exit code 2, and help with 0.
+    """
+    texts = vars(parser_of_commands().parse_args(arguments))
+    command, parser = texts.pop("command"), texts.pop("parser")
+    from napari_hmrf.io.option_texts import values_of  # heavy: pydantic
+
+    try:
+        return command(**values_of(command, texts, _option))
+    except ArgumentError as error:
+        parser.error(str(error))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -74,638 +178,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         Exit code: 0 on success, 1 on failure, 130 after an interrupt.
     """
-    options = parser_of_commands().parse_args(arguments)
-    log, reworded = logging.getLogger("napari_hmrf"), _InShellWords()
-    log.addFilter(reworded)
-    try:
-        return _COMMANDS[options.command](options)
-    except KeyboardInterrupt:
-        _report("interrupted")
-        return 130
-    except (HmrfError, OSError) as error:
-        _report(f"napari-hmrf: {in_words_of('shell', in_words(error))}")
-        return 1
-    finally:
-        log.removeFilter(reworded)
+    command = read_command(arguments)
+    from napari_hmrf.run import run_and_report  # heavy: the solver
 
+    return run_and_report(command)
 
-class _InShellWords(logging.Filter):
-    """Logging filter that replaces Python names of settings with names of shell options."""
 
-    def filter(self, record: logging.LogRecord) -> bool:
-        record.msg, record.args = in_words_of("shell", record.getMessage()), None
-        return True
-
-
-def _model(options: argparse.Namespace) -> tuple[Prior, Optimizer]:
-    """Return the prior and the optimizer selected by the options of a demonstration."""
-    case = Case(Path(), model=options.model, poisson=options.poisson, plane=options.plane)
-    return energy_of(case, volume=options.volume)
-
-
-def _selftest(_: argparse.Namespace) -> int:
-    return 0 if selftest(lambda line: print(line, flush=True)) else 1
-
-
-def _export(options: argparse.Namespace) -> int:
-    field = read_field_file(options.result)
-    refuse_overwriting([options.out], overwrite=options.force)
-    print(write_field_file(options.out, field, forward=options.forward))
-    return 0
-
-
-def _apply(options: argparse.Namespace) -> int:
-    names = [file.name for file in options.files]
-    duplicate = next((name for name in names if names.count(name) > 1), None)
-    if duplicate is not None:
-        raise HmrfError(
-            f"{duplicate} is the name of two files, so one result would overwrite the other. "
-            "Use a separate command for each file, with different --out folders."
-        )
-    if options.out.is_dir():
-        moved = [options.out / name for name in names]
-        # If source and target are the same file, `apply_field` raises a more specific error.
-        same = [
-            source.samefile(target)
-            for source, target in zip(options.files, moved, strict=True)
-            if source.exists() and target.exists()
-        ]
-        if not any(same):
-            refuse_overwriting(moved, overwrite=options.force)
-    field = read_field_file(options.field)
-    if len(field.shape) == 3 and not has_volume_loops():
-        _report("compiling the loops that warp volumes, once per machine ...")
-    options.out.mkdir(parents=True, exist_ok=True)
-    failed = 0
-    for file in options.files:
-        try:
-            written = apply_field(field, file, options.out / file.name, labels=options.labels)
-            print(f"written: {written.path}", flush=True)
-            if written.note:
-                _note(written.note)
-        except (HmrfError, OSError) as error:
-            failed += 1
-            _report(f"napari-hmrf: {in_words_of('shell', in_words(error))}")
-    return int(failed > 0)
-
-
-def _materials(options: argparse.Namespace) -> int:
-    names = read_label_names(options.table)
-    if options.out is not None:
-        refuse_overwriting([options.out], overwrite=options.force)
-    if options.labels is not None:
-        labels = labels_in(options.labels)
-        names = {label: names.get(label, "not in the table") for label in labels}
-    materials = materials_by_name(names)
-    print(_named_in_words(materials))
-    if options.out is not None:
-        print(f"written: {write_named_materials(options.out, materials)}")
-    return 0
-
-
-def _named_in_words(found: NamedMaterials) -> str:
-    """Return text that lists the labels recognized as each known tissue, and unknown labels."""
-    of_tissue: dict[KnownTissue, list[str]] = {}
-    for row in found.materials:
-        of_tissue.setdefault(found.tissues[row.label], []).append(f"{row.label} {row.name}")
-    lines = []
-    for tissue, labels in of_tissue.items():
-        stiffness = stiffness_in_words(tissue.stiffness, found.unit)
-        values = (
-            f"{stiffness}, nu {tissue.poisson:g}" if 0 < tissue.stiffness < RIGID else stiffness
-        )
-        lines.append(f"{tissue.name} ({values}): {', '.join(labels)}")
-    if found.unknown:
-        labels = [f"{label} {name}" for label, name in found.unknown.items()]
-        lines.append(f"unknown (fill in or remove): {', '.join(labels)}")
-    return "\n".join(lines)
-
-
-def _measure(options: argparse.Namespace) -> int:
-    from pandas import DataFrame  # heavy: pandas
-
-    if options.out is not None:
-        refuse_overwriting([options.out], overwrite=options.force)
-    with _shown_progress() as progress:
-        measurement = measured(
-            options.result, options.labels, uncertainty=options.uncertainty, progress=progress
-        )
-    rows, is_volume = measurement.rows, measurement.of_volume
-    titles, cells = measurement_table(rows, volume=is_volume)
-    table = DataFrame(cells, columns=titles)
-    print(table.to_string(index=False, float_format=_format_number))
-    if measurement.note:
-        print(f"note: {measurement.note}")
-    if options.out is not None:
-        path = write_measurements(options.out, rows, measurement.unit, volume=is_volume)
-        print(f"written: {path}")
-    return 0
-
-
-def _fit(options: argparse.Namespace) -> int:
-    with _shown_progress() as progress:
-        found = fit_file(
-            options.study,
-            options.out,
-            second=options.second,
-            stiffness=options.stiffness,
-            growth=options.growth,
-            poisson=options.poisson,
-            load=options.load,
-            backend=options.backend,
-            overwrite=options.force,
-            progress=progress,
-        )
-    for clause in found.described():
-        print(f"fitted: {clause}")
-    if found.fit.similarity is not None:
-        print(f"agreement of the images: {100 * found.fit.similarity:.0f} %")
-    if options.out is not None:
-        print(f"written: {options.out}")
-    return 0
-
-
-def _uncertainty(options: argparse.Namespace) -> int:
-    with _shown_progress() as progress:
-        estimated = estimate_uncertainty(
-            options.study,
-            options.out,
-            n=options.samples,
-            patch=options.patch,
-            within=options.within,
-            landmarks=options.landmarks,
-            backend=options.backend,
-            overwrite=options.force,
-            progress=progress,
-        )
-    found, site, unit = estimated.found, estimated.least_sure, estimated.unit
-    bars = found.along[found.solution.tissue]
-    print(
-        f"estimated: patches of {found.patch:.3g} {unit}, {found.n} samples, ± "
-        f"{float(np.median(bars)):.2g} {unit} in the median, up to ± {float(bars.max()):.2g} {unit}"
-    )
-    place = ", ".join(str(index) for index in site)
-    print(
-        f"least sure: ± {float(found.along[site]):.2g} {unit} at pixel ({place}), where one more "
-        "landmark helps most"
-    )
-    for clause in estimated.landmarks.described() if estimated.landmarks else ():
-        print(f"tested: {clause}")
-    if estimated.note:
-        _note(estimated.note)
-    if estimated.paths:
-        print(f"written: {', '.join(str(path) for path in estimated.paths)}")
-    return 0
-
-
-def _format_number(value: float) -> str:
-    """Format a number with four significant digits, or all integer digits if it is large."""
-    return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.4g}"
-
-
-def _show_result_in_napari(options: argparse.Namespace) -> int:
-    solution, image = image_of(options.result, options.image)
-    refuse_overwriting([options.out], overwrite=options.force)
-    number, shape = options.slice, solution.tissue.shape
-    if len(shape) == 2 and number is not None:
-        raise HmrfError(
-            "--slice is only valid for volumes, but this result is a slice. Leave out --slice."
-        )
-    if len(shape) == 3:
-        if number is None:
-            number = shape[0] // 2
-            _note(
-                f"showing slice {number}, the middle of slices 0 to {shape[0] - 1}; use --slice to "
-                "select another slice"
-            )
-        elif not 0 <= number < shape[0]:
-            raise HmrfError(
-                f"--slice is {number}, but the volume has slices 0 to {shape[0] - 1}. Choose one "
-                "of these slices."
-            )
-    print(f"written: {write_movie(options.out, solution, image, number=number)}")
-    return 0
-
-
-def _solve(options: argparse.Namespace) -> int:
-
-    confidence = options.confidence
-    case = Case(
-        image=options.image,
-        labels=options.labels,
-        materials=options.materials,
-        maps=options.maps,
-        boundary=options.boundary,
-        targets=options.targets,
-        rules=options.rules,
-        confidence=confidence if confidence in (None, "edges") else Path(confidence),
-        slice=options.slice,
-        spacing=options.spacing,
-        hold_edge=options.hold_edge,
-        model=options.model and MODELS[options.model],
-        forward=options.forward,
-        poisson=options.poisson,
-        plane=options.plane,
-        tolerance=options.tolerance,
-        budget=options.budget,
-        penalty=options.penalty,
-        weight=options.weight or (),
-        cavity=options.cavity,
-    )
-    with _shown_progress() as progress:
-        solved = solve_case(
-            case, options.out, backend=options.backend, overwrite=options.force, progress=progress
-        )
-    print(f"solved: {_in_shell(solved.solution)}")
-    for note in solved.notes:
-        _note(note)
-    written = ", ".join(sorted(path.name for path in options.out.iterdir()))
-    print(f"in {options.out}: {written}")
-    return 0
-
-
-def _register(options: argparse.Namespace) -> int:
-    for name in ("landmark_sd", "targets"):
-        if getattr(options, name) is not None and options.landmarks is None:
-            option = f"--{name.replace('_', '-')}"
-            raise HmrfError(f"{option} requires --landmarks. Give --landmarks, or leave it out.")
-    case = RegistrationCase(
-        fixed=options.fixed,
-        moving=options.moving,
-        labels=options.labels,
-        materials=options.materials,
-        maps=tuple(options.maps),
-        mask=options.mask,
-        moving_mask=options.moving_mask,
-        landmarks=options.landmarks,
-        targets=options.targets,
-        landmark_sd=options.landmark_sd,
-        spacing=options.spacing,
-        alignment=options.alignment,
-        smoothness=options.smoothness,
-    )
-    with _shown_progress() as progress:
-        found = register_files(case, options.out, overwrite=options.force, progress=progress)
-    report = found.report
-    folds = "1 fold" if report["folds"] == 1 else f"{report['folds']} folds"
-    sd = "" if report["sd"] is None else f", sd {report['sd']:g} {report['unit']}"
-    before, after = report["similarity_before"], report["similarity_after"]
-    digits = 2 if f"{before:.2f}" != f"{after:.2f}" else 4
-    print(
-        f"registered: similarity {before:.{digits}f} before and {after:.{digits}f} after{sd}, "
-        f"{folds}, {report['seconds']:.1f} s"
-    )
-    for note in found.notes:
-        _note(note)
-    written = ", ".join(sorted(path.name for path in options.out.iterdir()))
-    print(f"in {options.out}: {written}")
-    return 0
-
-
-def _batch(options: argparse.Namespace) -> int:
-    line = _ProgressLine()
-    cases = read_cases(options.cases)
-    count = "1 case" if len(cases) == 1 else f"{len(cases)} cases"
-    line.write(count)  # the first case can take a long time, because loops may be compiled first
-    outcomes = solve_cases(
-        cases,
-        options.out,
-        jobs=options.jobs,
-        scheduler=options.scheduler,
-        resume=options.resume,
-        backend=options.backend,
-        progress=lambda progress: line.write(progress.words),
-        report=_note,
-    )
-    line.end()
-    failed = [each for each in outcomes if each.state != "done"]
-    for each in failed[:_MAX_PRINTED]:
-        _report(f"{each.case}: {each.error}")
-    if len(failed) > _MAX_PRINTED:
-        _report(f"and {len(failed) - _MAX_PRINTED} more")
-    are = "case is" if len(outcomes) == 1 else "cases are"
-    done = f"{len(outcomes) - len(failed)} of {len(outcomes)} {are} solved"
-    print(f"{done}; see {options.out / SUMMARY} for all results")
-    if noted := sum(bool(each.notes) for each in outcomes):
-        _note(f"the summary contains warnings for {noted} of the cases, in the column notes")
-    return int(bool(failed))
-
-
-def _replay(options: argparse.Namespace) -> int:
-    image = None if options.image is None else read_image(options.image).pixels
-    study, before = read_study(options.study, image=image)
-    if image is not None and study.pictures.image is not image:
-        raise HmrfError(f"{options.study.name} contains its own image. Leave out --image.")
-    with _shown_progress() as progress:
-        now = replay(options.study, image=image, progress=progress)
-    print(f"solved: {_in_shell(now)}")
-    if before is None:
-        print("the study was saved without its field, so there is no field to compare with")
-        return 0
-    # The file stores float32 values, and only the displacement of tissue.
-    again = now.displacement.astype(before.displacement.dtype)
-    differences = abs(again - before.displacement)[before.tissue] / before.spacing
-    difference, allowed = float(differences.max(initial=0)), 0.0
-    for each in (now, before):
-        allowed += 0.0 if each.convergence is None else each.convergence.error
-    if difference == 0:
-        result = "the fields are bit-for-bit identical"
-    elif difference <= allowed:
-        result = (
-            f"the same field within its tolerance: the fields differ by at most {difference:.2g} "
-            f"px, and {allowed:.2g} px is allowed (the last digits differ if a field was updated "
-            "live, or was solved while loops were still being compiled)"
-        )
-    else:
-        result = (
-            f"the fields differ by at most {difference:.3g} px, but {allowed:.2g} px is allowed"
-        )
-    backend = before.provenance.backend
-    origin = "a sum of solutions" if backend == SUM else f"solved on {backend}"
-    print(f"{result}; the saved field was {origin}")
-    return int(difference > allowed and backend in (SUM, now.provenance.backend))
-
-
-def _in_shell(solution: Solution) -> str:
-    """Return a one-line description of a solution, with the model named as in the shell."""
-    model = solution.provenance.model
-    return repr(solution).replace(f", {model}, ", f", {as_word(model)}, ", 1)
-
-
-def _truth(options: argparse.Namespace) -> int:
-    def report(truth: Truth) -> None:
-        progress.end()
-        part = "" if truth.scale == 1 else f", scaled to {truth.scale:.0%}"
-        moved = f"moved up to {truth.farthest:.3g} {unit_symbol(truth.unit)}{part}"
-        print(f"written: {truth.folder} ({moved})", flush=True)
-
-    progress = _ProgressLine()
-    names = ("amplitude", "patches", "weight", "hold_edge", "backend")
-    given = {name: getattr(options, name) for name in names}
-    write_truth(
-        Case(
-            image=options.image,
-            labels=options.labels,
-            materials=options.materials,
-            maps=options.maps,
-            slice=options.slice,
-        ),
-        options.out,
-        count=options.count,
-        seed=options.seed,
-        overwrite=options.force,
-        progress=lambda done, of: progress.write(f"solved: {done} of {of}", "solving"),
-        on_written=report,
-        **{name: value for name, value in given.items() if value is not None},
-    )
-    print("field.mha maps each pixel of deformed.mha to its origin in image.mha")
-    return 0
-
-
-def _demo(options: argparse.Namespace) -> int:
-    if options.volume:
-        return _demo_volume(options)
-    models = [_model(options)]
-    if models[0] != parts_of("paper"):
-        models.append(parts_of("paper"))
-    _make_demo_folder(options)
-    progress = _ProgressLine()
-    demonstrations = [
-        demonstrate(
-            options.phantom,
-            options.size or SAMPLE_SIZE,
-            backend=options.backend,
-            progress=progress.show,
-            prior=prior,
-            optimizer=optimizer,
-        )
-        for prior, optimizer in models
-    ]
-    progress.end()
-    print(table(*demonstrations), flush=True)
-    demonstration = demonstrations[0]
-    _report("drawing ...")
-    _report_written(options, write_results(demonstration, options.out))
-
-    def layers() -> Sequence[LayerData]:
-        from napari_hmrf.contributions import phantom_layers  # heavy: napari
-
-        return phantom_layers(demonstration.phantom)
-
-    if not _show_in_napari(options, layers, demonstration.solution, models[0][0]):
-        _compile_loops(options, demonstration, *models[0])
-    _suggest_next_steps()
-    return 0
-
-
-def _compile_loops(
-    options: argparse.Namespace,
-    demonstration: Demonstration,
-    prior: Prior,
-    optimizer: Optimizer | None,
-) -> None:
-    """Compile the loops, and solve again to show the time that the compiled loops take."""
-    jobs = [job for job in (EVERYTHING, VOLUMES) if not are_compiled(job)]
-    if options.backend != "auto" or not jobs:
-        return
-    _report(
-        "compiling the loops for this processor, once per machine (all results have been written, "
-        "so it is safe to stop with Ctrl-C)"
-    )
-    progress = _ProgressLine()
-    for job in jobs:
-        provide_loops(job, progress.show)
-    progress.end()
-    again = solve(demonstration.phantom.problem, prior, optimizer=optimizer)
-    seconds = again.provenance.seconds
-    print(f"compiled; the same solve now takes {seconds:.2g} s ({again.provenance.backend})")
-
-
-def _suggest_next_steps() -> None:
-    """Print suggestions for further commands after a demonstration."""
-    folder = Path(sys.executable).parent
-    if folder.is_relative_to(Path.cwd()):
-        folder = folder.relative_to(Path.cwd())
-    napari, here = folder / "napari", folder / "napari-hmrf"
-    print("\nnext, try:")
-    print(f"  {napari}  (then File > Open Sample > napari-hmrf, and drag the tissue)")
-    print(f"  {here} demo --volume  (a head with a growing tumour)")
-    print(f"  {here} solve --help  (your own image)", flush=True)
-
-
-def _make_demo_folder(options: argparse.Namespace) -> None:
-    """Create the output folder of a demonstration.
-
-    Without --force, an existing folder is overwritten only if it is the default folder.
-    """
-    is_default = options.out is None
-    options.out = Path("demo-output") if is_default else options.out
-    has_files = options.out.is_dir() and any(options.out.iterdir())
-    if has_files and is_default:
-        _note(f"an earlier demo in {options.out} is overwritten")
-    elif has_files and not options.force:
-        raise HmrfError(
-            f"{options.out} already exists and is not empty. Give another folder, or add --force "
-            "to overwrite its files."
-        )
-    options.out.mkdir(parents=True, exist_ok=True)
-
-
-def _demo_volume(options: argparse.Namespace) -> int:
-    prior, optimizer = _model(options)
-    more = {"poisson": float(prior.poisson)} if isinstance(prior, Elastic) else {}
-    _make_demo_folder(options)
-    progress = _ProgressLine()
-    demonstration = demonstrate_volume(
-        options.size or VOLUME_SIZE,
-        backend=options.backend,
-        progress=progress.show,
-        model=family_of(prior, optimizer),
-        **more,
-    )
-    progress.end()
-    print(table(demonstration), flush=True)
-    if demonstration.note:
-        print(f"note: {demonstration.note}", flush=True)
-    _report("drawing ...")
-    _report_written(options, write_volume_results(demonstration, options.out))
-
-    def layers() -> Sequence[LayerData]:
-        from napari_hmrf.contributions import volume_layers  # heavy: napari
-
-        return volume_layers(demonstration.head)
-
-    _show_in_napari(options, layers, demonstration.solution, prior)
-    return 0
-
-
-def _report_written(options: argparse.Namespace, written: Sequence[Path]) -> None:
-    print(f"\nwritten to {options.out}: {', '.join(path.name for path in written)}", flush=True)
-
-
-def _show_in_napari(
-    options: argparse.Namespace,
-    layers: Callable[[], Sequence[LayerData]],
-    solution: Solution,
-    prior: Prior,
-) -> bool:
-    """Show a demonstration in napari, if requested and possible; return whether it was shown."""
-    if options.no_window:
-        return False
-    if not _has_display():
-        _report("napari is not opened, because there is no display or the variable CI is set")
-        return False
-    _report("opening napari ...")
-    _open_napari(layers(), solution, prior)
-    return True
-
-
-_COMMANDS: dict[str, Callable[[argparse.Namespace], int]] = {
-    "apply": _apply,
-    "batch": _batch,
-    "demo": _demo,
-    "export": _export,
-    "fit": _fit,
-    "materials": _materials,
-    "measure": _measure,
-    "play": _show_result_in_napari,
-    "register": _register,
-    "replay": _replay,
-    "selftest": _selftest,
-    "solve": _solve,
-    "truth": _truth,
-    "uncertainty": _uncertainty,
-}
-
-# Time between progress lines, in seconds, if stderr is not a terminal.
-_INTERVAL = 10.0
-# Largest number of failed cases to print; the summary lists all failed cases.
-_MAX_PRINTED = 10
-
-
-class _ProgressLine:
-    """Progress display on stderr.
-
-    On a terminal, a single line is updated. Otherwise, new lines are printed at intervals.
-
-    Parameters
-    ----------
-    stages : sequence of str
-        If stderr is not a terminal, only messages that begin with one of these words are printed.
-    """
-
-    def __init__(self, stages: Sequence[str] = ("compiling", "preparing")) -> None:
-        self._live, self._stages = sys.stderr.isatty(), stages
-        self._shown = 0
-        self._stage, self._last_time = "", 0.0
-
-    def show(self, monitor: Monitor) -> None:
-        line = f"{monitor.fraction:4.0%}  {monitor.message}"
-        stage = monitor.message.partition(" ")[0]
-        if self._live or stage in self._stages:
-            self.write(line, stage)
-
-    def write(self, line: str, stage: str = "") -> None:
-        if self._live:
-            sys.stderr.write("\r" + line.ljust(self._shown))
-            sys.stderr.flush()
-            self._shown = len(line)
-            return
-        now = time.monotonic()
-        if stage != self._stage or now > self._last_time + _INTERVAL:
-            _report(line.strip())
-            self._stage, self._last_time = stage, now
-
-    def end(self) -> None:
-        if self._live and self._shown:
-            sys.stderr.write("\r" + " " * self._shown + "\r")
-            sys.stderr.flush()
-
-
-@contextmanager
-def _shown_progress() -> Iterator[Callable[[Monitor], None]]:
-    """Yield a callback that shows the progress of a solve.
-
-    If stderr is not a terminal, only the stages "starting" and "compiling" are reported.
-    """
-    line = _ProgressLine(stages=("starting", "compiling"))
-    try:
-        yield line.show
-    finally:
-        line.end()
-
-
-def _note(clause: str) -> None:
-    """Print a note, with settings named as in the shell."""
-    print(f"note: {in_words_of('shell', clause)}", flush=True)
-
-
-def _report(message: str) -> None:
-    print(message, file=sys.stderr, flush=True)
-
-
-def _has_display() -> bool:
-    """Return whether a display is available for a window."""
-    if os.environ.get("CI"):
-        return False
-    if not sys.platform.startswith("linux"):
-        return True
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
-
-
-def _open_napari(layers: Sequence[LayerData], solution: Solution, prior: Prior) -> None:
-    """Show a demonstration in napari with the dock widget, and wait until the window is closed."""
-    import napari  # heavy: napari
-    from napari.layers import Layer  # heavy: napari
-
-    viewer = napari.Viewer()
-    for data, attributes, kind in layers:
-        viewer.add_layer(Layer.create(data, attributes, kind))
-    _, widget = viewer.window.add_plugin_dock_widget("napari-hmrf", "Soft tissue")
-    widget.model = solution.provenance.model
-    if isinstance(prior, Elastic):
-        widget.plane = prior.plane
-        widget.materials = tuple(replace(row, poisson=prior.poisson) for row in widget.materials)
-    # Solve again in the widget, because it only updates result layers that it has created.
-    widget.deform()
-    napari.run()
+if __name__ == "__main__":
+    sys.exit(main())

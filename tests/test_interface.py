@@ -102,6 +102,14 @@ def test_importing_the_packages_and_the_commands_loads_no_heavy_library():
     assert [line for line in done.stdout.splitlines() if not line.endswith("[]")] == []
 
 
+def test_the_help_of_the_shell_needs_only_the_standard_library():
+    lines = "import sys; from napari_hmrf.cli import parser_of_commands; parser_of_commands()"
+    lines += "; print([name for name in ('numpy', 'pydantic', 'scipy') if name in sys.modules])"
+    command = [sys.executable, "-c", lines]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
+
+
 def test_the_default_model_is_elastic_and_a_result_names_its_model(tmp_path):
     problem = napari_hmrf.data.phantom("mass-effect", 32).problem
     usual, elastic, large, papers, converged = (

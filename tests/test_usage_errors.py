@@ -2,7 +2,7 @@
 
 import pytest
 
-from napari_hmrf.command_line import parser_of_commands
+from napari_hmrf.cli import read_command
 
 
 @pytest.mark.parametrize(
@@ -15,7 +15,7 @@ from napari_hmrf.command_line import parser_of_commands
 )
 def test_a_misspelt_word_is_refused_with_a_suggestion(line, suggestion, capsys):
     with pytest.raises(SystemExit) as ended:
-        parser_of_commands().parse_args(line.split())
+        read_command(line.split())
     assert ended.value.code == 2
     said = capsys.readouterr().err
     assert f"Did you mean {suggestion}?" in said

@@ -20,7 +20,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor, as_completed
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache, partial
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -37,6 +37,7 @@ from napari_hmrf.extras import how_to_install
 from napari_hmrf.field.deformation import magnitude
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.io.case import SolvedCase, solve_case
+from napari_hmrf.io.case_options import Case
 from napari_hmrf.io.case_records import (
     RECORD,
     CaseOutcome,
@@ -48,7 +49,7 @@ from napari_hmrf.io.case_records import (
 )
 from napari_hmrf.io.case_tables import NamedCase
 from napari_hmrf.io.table_files import write_csv
-from napari_hmrf.wording import in_words_of
+from napari_hmrf.wording import in_shell_words
 
 _log = logging.getLogger("napari_hmrf")
 #: Name of the folder for unfinished cases.
@@ -61,6 +62,8 @@ SUMMARY = "summary.csv"
 _SUMMARY_INTERVAL = 5.0
 #: Number of significant digits of the values in the summary.
 _DIGITS = 6
+#: Options that the notes and errors of a case may name.
+_OPTIONS = {each.name for each in fields(Case)}
 #: Function that solves a case, and function that submits a case to a worker.
 _Solve = Callable[[NamedCase], CaseOutcome]
 _Submit = Callable[[NamedCase], Future[CaseOutcome]]
@@ -210,7 +213,7 @@ def solve_into(case: NamedCase, folder: Path, backend: str = "cpu") -> CaseOutco
         message = in_words(error)
         is_expected = isinstance(error, HmrfError | OSError)
         message = message if is_expected else f"{type(error).__name__}: {message}"
-        message = in_words_of("shell", message)
+        message = in_shell_words(message, _OPTIONS)
         if (folder / case.name / RECORD).exists():
             message += (
                 f" (the folder {case.name} still contains an earlier result, which is ignored)"
@@ -258,7 +261,7 @@ def _done(name: str, solved: SolvedCase, seconds: float) -> CaseOutcome:
     return CaseOutcome(
         name,
         "done",
-        notes="; ".join(in_words_of("shell", note) for note in solved.notes),
+        notes="; ".join(in_shell_words(note, _OPTIONS) for note in solved.notes),
         seconds=seconds,
         folds=solved.folds,
         error_bound=None if solution.convergence is None else float(solution.convergence.error),

@@ -5,6 +5,7 @@ A case is a saved study, or an image with files that define its tissue and its m
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +21,7 @@ from napari_hmrf.field.landmark_pairs import LandmarkPairs
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.field.warp import has_volume_loops
 from napari_hmrf.io.apply import read_field_file
-from napari_hmrf.io.case_options import Case, energy_of, notes_on_ratio, weight_of
+from napari_hmrf.io.case_options import Case
 from napari_hmrf.io.fields import geometry_of
 from napari_hmrf.io.images import (
     ImageFile,
@@ -39,17 +40,21 @@ from napari_hmrf.io.study_file import is_study_file, read_study, write_study
 from napari_hmrf.io.sweeps import Change, changed, with_ratio
 from napari_hmrf.io.tables import read_rules
 from napari_hmrf.solver.drift import drift_clauses
-from napari_hmrf.solver.optimizers import Monitor
+from napari_hmrf.solver.model_names import ELASTIC, MODELS, as_word
+from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid
+from napari_hmrf.solver.priors import Elastic, NeoHookeanPrior, Prior
 from napari_hmrf.solver.problem import grid_in_words, whole_numbers
 from napari_hmrf.solver.real_arrays import check_int32
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import Progress
 from napari_hmrf.solver.volume_memory import STUDY, WARP, make_room, require_memory
 from napari_hmrf.study.ground import Ground, solve_statement
+from napari_hmrf.study.models import parts_of
 from napari_hmrf.study.shortcomings import shortcomings
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import (
     UNPAINTED,
+    USUAL_POISSON,
     Material,
     default_material,
     unlisted,
@@ -101,13 +106,13 @@ def read_case(case: Case) -> Study:
     motion = replace(
         _motion(case, grid, whole),
         hold_edge=case.hold_edge,
-        weight=weight_of(case, grid),
+        weight=_weight_of(case, grid),
         cavity=case.cavity or Cavity(),
     )
     prior, optimizer = energy_of(case, volume=len(grid.shape) == 3)
     tissue = Tissue(labels=labels, materials=materials, unit=unit)
     if case.poisson is not None and labels is not None:
-        notes = (*notes, *notes_on_ratio(case, tissue))
+        notes = (*notes, *_notes_on_ratio(case, tissue))
         tissue = with_ratio(tissue, case.poisson)
     return Study(
         grid,
@@ -119,6 +124,110 @@ def read_case(case: Case) -> Study:
         names=_names(case),
         notes=notes,
     )
+
+
+def energy_of(case: Case, *, volume: bool = False) -> tuple[Prior, ICM | Multigrid]:
+    """Return the prior and the optimizer selected by the options of a case.
+
+    Parameters
+    ----------
+    case : Case
+    volume : bool
+        True if a whole volume is solved.
+
+    Raises
+    ------
+    HmrfError
+        If an option has no effect on the model; the message states the option and the reason.
+    ArgumentError
+        If the value of an option is invalid.
+    """
+    name = MODELS[as_word(case.model or "elastic")]
+    prior, optimizer = parts_of(name)
+    elastic = name in ELASTIC
+    for given, option, is_valid, why in (
+        (
+            case.poisson is not None,
+            "--poisson",
+            elastic,
+            "the paper's model has no Poisson's ratio",
+        ),
+        (
+            case.plane is not None,
+            "--plane",
+            elastic,
+            "the paper's model has neither plane stress nor plane strain",
+        ),
+        (
+            case.plane is not None,
+            "--plane",
+            not volume,
+            "plane stress and plane strain are defined for slices only",
+        ),
+        (bool(case.weight), "--weight", elastic, "the paper's model does not support forces"),
+        (bool(case.cavity), "--cavity", elastic, "the paper's model does not support forces"),
+        (
+            case.tolerance is not None,
+            "--tolerance",
+            isinstance(optimizer, Multigrid),
+            "the paper's schedule has a fixed length; --model paper-converged has a tolerance",
+        ),
+        (
+            case.budget is not None,
+            "--budget",
+            isinstance(prior, NeoHookeanPrior),
+            "only large motion has a budget",
+        ),
+    ):
+        if given and not is_valid:
+            raise HmrfError(f"{option} has no effect: {why}. Leave {option} out.")
+    if isinstance(prior, Elastic):
+        prior = replace(
+            prior,
+            poisson=prior.poisson if case.poisson is None else case.poisson,
+            plane=case.plane or prior.plane,
+        )
+    if case.penalty is not None:
+        prior = replace(prior, penalty=case.penalty)
+    if case.tolerance is not None:
+        optimizer = Multigrid(case.tolerance)
+    if case.budget is not None and isinstance(optimizer, Multigrid):
+        optimizer = replace(optimizer, budget=case.budget if case.budget < math.inf else None)
+    return prior, optimizer
+
+
+def _weight_of(case: Case, grid: Grid) -> tuple[float, ...]:
+    """Return the weight of a case; raise an error if it does not have one number per grid axis."""
+    if case.weight and len(case.weight) != len(grid.shape):
+        axes = "plane, row and col" if len(grid.shape) == 3 else "row and col"
+        raise HmrfError(
+            f"--weight has {len(case.weight)} numbers, but the grid has {len(grid.shape)} axes. "
+            f"Give the weight along {axes}."
+        )
+    return case.weight
+
+
+def _notes_on_ratio(case: Case, tissue: Tissue) -> tuple[str, ...]:
+    """Return notes on replaced Poisson's ratios, and on labels that are not in the table.
+
+    Parameters
+    ----------
+    case : Case
+    tissue : Tissue
+        Labels of the tissue, and materials of the table.
+    """
+    notes = []
+    if any(row.poisson not in (case.poisson, USUAL_POISSON) for row in tissue.materials):
+        table = "the table" if case.materials is None else case.materials.name
+        notes.append(f"--poisson {case.poisson:g} replaces the Poisson's ratios of {table}")
+    labels = tissue.labels
+    missing = [] if labels is None or tissue.materials else unlisted(labels, ())
+    added = [default_material(label, ()) for label in missing]
+    notes += [
+        f"label {row.label} is not in the table, so its stiffness was set to {row.stiffness:g}"
+        for row in added
+    ]
+    return tuple(notes)
 
 
 def _refuse_unused(case: Case, is_planar: bool) -> None:
@@ -223,7 +332,9 @@ def solve_case(
     try:
         ground.refuse_motionless(stated)
     except ProblemError as error:  # omit the name of the image: the cause is a missing option
-        raise HmrfError(error.message) from None
+        is_study = is_study_file(case.image)
+        remedy = "" if is_study else " Use --boundary, --weight, or growth in --materials."
+        raise HmrfError(f"{error.message}{remedy}") from None
     folder.mkdir(parents=True, exist_ok=True)  # before the solve, so that errors occur early
     notes = (*ground.unused(stated), *ground.notes_on(stated))
     del ground  # its images need as much memory as the problem

@@ -21,7 +21,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -29,21 +29,19 @@ from typing import Any
 from napari_hmrf.arguments import checked_path
 from napari_hmrf.checks import convert
 from napari_hmrf.errors import ArgumentError, FileFormatError, HmrfError
-from napari_hmrf.io.case_options import OPTIONS, Case
+from napari_hmrf.io.case_options import Case
 from napari_hmrf.io.images import read_image, stem_of
+from napari_hmrf.io.option_texts import values_of
 from napari_hmrf.io.sweeps import NUMBERS, Change
 from napari_hmrf.io.table_files import read_table, unknown_column
-from napari_hmrf.solver.model_names import MODELS, as_word
+from napari_hmrf.solver.model_names import as_word
 
 #: Largest size of a table, in bytes; a larger file is not read.
 _LARGEST = 2**24
-_FILES = "image", "labels", "materials", "boundary", "targets", "rules", "confidence"
-_COLUMNS = (
-    *("name", "study", *_FILES, "maps", "forward", "slice", "hold-edge", "model", "poisson"),
-    *OPTIONS,
-)
 #: Columns in which a cell can contain several values, with one case for each value.
-_SWEPT = ("slice", "model", "poisson", *(name for name in OPTIONS if name != "spacing"))
+_SWEPT = {
+    *("slice", "model", "poisson", "plane", "tolerance", "budget", "penalty", "weight", "cavity")
+}
 #: Characters that are not allowed in the name of a case.
 _FORBIDDEN = re.compile(r'[\\/:*?"<>|\0-\x1f]')
 #: Characters with a special meaning in shells or other tools; replaced with "_".
@@ -52,7 +50,13 @@ _SPECIAL = re.compile(r"[^\w.-]+")
 _RESERVED = {"summary.csv", *("con", "prn", "aux", "nul")} | {
     f"{port}{number}" for port in ("com", "lpt") for number in range(10)
 }
-_YES, _NO = ("yes", "true", "1", "x"), ("", "no", "false", "0")
+
+
+def _column(option: str) -> str:
+    return option.replace("_", "-")
+
+
+_COLUMNS = ("name", "study", *(_column(each.name) for each in fields(Case)))
 
 
 @dataclass(frozen=True)
@@ -211,52 +215,31 @@ def _slices(image: Path) -> int:
 
 
 def _named_case(name: str, cells: dict[str, str], folder: Path, where: str) -> NamedCase:
-    def refuse(title: str, right: str) -> FileFormatError:
-        return FileFormatError(f"{where}: {title} is {cells[title][:40]!r}. Give {right}.")
-
-    files: dict[str, Any] = {each: folder / cells[each] for each in _FILES if each in cells}
-    if "study" in cells:
-        files["image"] = folder / cells["study"]
-    if cells.get("confidence") == "edges":
-        files["confidence"] = "edges"
-    if maps := cells.get("maps"):
-        files["maps"] = tuple(folder / each.strip() for each in maps.split(";"))
-    flags = {title: cells.get(title, "").casefold() for title in ("hold-edge", "forward")}
-    for title, text in flags.items():
-        if text not in (*_YES, *_NO):
-            raise refuse(title, "yes or no")
-    files |= {
-        title: _converted(OPTIONS[title], title, cells[title], where)
-        for title in OPTIONS
-        if title in cells
-    }
-    number = cells.get("slice")
-    if number is not None and not number.isdecimal():
-        raise refuse("slice", "a whole number, 3-7, or all")
-    case = Case(
-        **files,
-        slice=None if number is None else int(number),
-        hold_edge=flags["hold-edge"] in _YES,
-        forward=flags["forward"] in _YES,
-    )
+    texts: dict[str, Any] = {}
     changes: list[Change] = []
-    for title in cells:
+    for title, text in cells.items():
         kind, _, of = title.partition(":")
-        if title == "model":
-            model = MODELS.get(as_word(cells[title]))
-            if model is None:
-                raise refuse(title, ", ".join(MODELS))
-            if "study" in cells:
-                changes.insert(0, Change("model", model))
-            else:
-                case = replace(case, model=cells[title])
-        elif title == "poisson" or kind in NUMBERS:
-            changes.append(Change(kind, _converted(NUMBERS[kind], title, cells[title], where), of))
+        if of or title == "poisson":
+            try:
+                changes.append(Change(kind, convert(NUMBERS[kind], text, title), of))
+            except ArgumentError as error:
+                raise FileFormatError(f"{where}: {error}.") from None
+        elif title == "maps":
+            texts["maps"] = [part.strip() for part in text.split(";")]
+        elif title != "name":
+            texts["image" if title == "study" else title.replace("-", "_")] = text
+    try:
+        values = values_of(Case, texts, _column)
+    except ArgumentError as error:
+        raise FileFormatError(f"{where}: {error}") from None
+    if "study" in cells and "model" in values:
+        changes.insert(0, Change("model", values.pop("model")))
+    case = Case(**{option: _in_folder(value, folder) for option, value in values.items()})
     return NamedCase(name, case, tuple(changes), cells)
 
 
-def _converted(kind: Any, title: str, cell: str, where: str) -> Any:
-    try:
-        return convert(kind, cell, title)
-    except ArgumentError as error:
-        raise FileFormatError(f"{where}: {error}.") from None
+def _in_folder(value: Any, folder: Path) -> Any:
+    """Return a value, in which paths are relative to a folder."""
+    if isinstance(value, tuple):
+        return tuple(_in_folder(each, folder) for each in value)
+    return folder / value if isinstance(value, Path) else value

@@ -22,7 +22,7 @@ from napari_hmrf.extras import how_to_install
 from napari_hmrf.field.brightness import luminance
 from napari_hmrf.field.units import unit_factor, unit_symbol
 from napari_hmrf.io.case import read_case, result_image
-from napari_hmrf.io.case_options import Case
+from napari_hmrf.io.case_options import Case, RegistrationCase
 from napari_hmrf.io.fields import placed, write_mapping
 from napari_hmrf.io.images import read_picture_as, result_suffix, shape_of, stem_of, write_image
 from napari_hmrf.io.itk_files import has_simpleitk
@@ -61,50 +61,6 @@ _REGISTERED = 0.9
 _ALIKE = 0.95
 #: Number of decimals of a similarity.
 _DECIMALS = 4
-
-
-@dataclass(frozen=True)
-class RegistrationCase:
-    """Input files and options of a registration, as given on a command line.
-
-    Attributes
-    ----------
-    fixed, moving : Path
-        Images or volumes of the same tissue.
-    labels, materials, maps
-        Tissue of `fixed`, as in a `Case`. By default, all pixels have the same stiffness.
-    mask, moving_mask : Path, optional
-        Images of the pixels of `fixed` and of `moving` that count: those that are not 0.
-    landmarks : Path, optional
-        Pairs of landmarks in BigWarp's format: positions in `fixed`, then in `moving`; or
-        positions in `fixed` alone.
-    targets : Path, optional
-        Positions of these landmarks in `moving`, in the same order.
-    landmark_sd : float, optional
-        Standard deviation of landmarks without one in their file, in the unit of `fixed`; by
-        default, one pixel.
-    spacing : (tuple of float, str), optional
-        Size of a pixel of both images, as in a `Case`.
-    alignment : {"rigid", "affine"}, optional
-        Alignment by SimpleITK before tissue deforms. By default, the positions of both images are
-        used as they are.
-    smoothness : float
-        As for `register`.
-    """
-
-    fixed: Path
-    moving: Path
-    labels: Path | None = None
-    materials: Path | None = None
-    maps: tuple[Path, ...] = ()
-    mask: Path | None = None
-    moving_mask: Path | None = None
-    landmarks: Path | None = None
-    targets: Path | None = None
-    landmark_sd: float | None = None
-    spacing: tuple[tuple[float, ...], str] | None = None
-    alignment: Literal["rigid", "affine"] | None = None
-    smoothness: float = 1.0
 
 
 class RegisteredFiles(NamedTuple):

@@ -11,6 +11,7 @@ import operator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -19,6 +20,7 @@ import scipy
 from napari_hmrf.arguments import is_one_of, refuse_unless, shown
 from napari_hmrf.errors import ArgumentError
 from napari_hmrf.resources import resource_folder
+from napari_hmrf.samples import PhantomName
 from napari_hmrf.solver.problem import Problem, grid_in_words
 from napari_hmrf.tissue.boundary_rules import (
     BoundaryRule,
@@ -31,7 +33,7 @@ from napari_hmrf.tissue.normals import outer_rim
 from napari_hmrf.tissue.painted_loads import growth_loads
 
 #: Names of the phantoms.
-PHANTOM_NAMES = ("expansion", "mass-effect", "bar")
+PHANTOM_NAMES: tuple[str, ...] = get_args(PhantomName)
 #: Smallest size, in pixels, at which every part of the phantoms has interior pixels.
 SMALLEST = 16
 #: Size, in pixels, for which the geometry is defined: the size of the paper's images.

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.solver.model_names import Plane
 from napari_hmrf.solver.priors import Elastic, ElasticPrior, NeoHookeanPrior
-from napari_hmrf.solver.priors.elastic import Plane
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.real_arrays import FloatArray
 

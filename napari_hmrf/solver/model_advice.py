@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from napari_hmrf.solver.model_names import ELASTIC, ModelName
-from napari_hmrf.solver.priors.elastic import Plane
+from napari_hmrf.solver.model_names import ELASTIC, ModelName, Plane
 
 # The figures are the same as in the README. `make paper` measures them. Times are for two
 # cores without a GPU.

@@ -1,4 +1,4 @@
-"""Names of the tissue models for display, for files and for the command line."""
+"""Names of the tissue models and planes for display, for files and for the command line."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from typing import Any, Literal, get_args
 #: Names of the models: linear elasticity, finite strain, the paper's random field with its schedule
 #: of sweeps, and the same random field at convergence.
 ModelName = Literal["elastic", "large motion", "paper", "paper, converged"]
+#: Plane stress, in which a slice can bulge, or plane strain.
+Plane = Literal["stress", "strain"]
 #: Models that have an elastic strain.
 ELASTIC: tuple[ModelName, ...] = "elastic", "large motion"
 

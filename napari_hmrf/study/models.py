@@ -7,10 +7,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any, get_args
 
 from napari_hmrf.errors import ArgumentError
-from napari_hmrf.solver.model_names import ELASTIC, MODELS, ModelName, as_word
+from napari_hmrf.solver.model_names import ELASTIC, MODELS, ModelName, Plane, as_word
 from napari_hmrf.solver.optimizers import ICM, Multigrid, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
-from napari_hmrf.solver.priors.elastic import Plane
 from napari_hmrf.solver.priors.seiler import Conditional
 from napari_hmrf.tissue.boundary_rules import USUAL_POISSON
 

@@ -19,10 +19,9 @@ import numpy as np
 from psygnal import Signal
 
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.solver.model_names import ModelName
+from napari_hmrf.solver.model_names import ModelName, Plane
 from napari_hmrf.solver.optimizers import ICM, Multigrid
 from napari_hmrf.solver.priors import Elastic, Prior
-from napari_hmrf.solver.priors.elastic import Plane
 from napari_hmrf.solver.uncertain_landmarks import StrainScale
 from napari_hmrf.study.edit_history import DEPTH, EditHistory
 from napari_hmrf.study.measured_motion import MeasuredMotion

@@ -7,8 +7,7 @@ from typing import Any, Generic, TypeVar, overload
 
 from napari_hmrf.field.comparison import Comparison
 from napari_hmrf.layers.slice_view import Sides
-from napari_hmrf.solver.model_names import ModelName
-from napari_hmrf.solver.priors.elastic import Plane
+from napari_hmrf.solver.model_names import ModelName, Plane
 from napari_hmrf.study.models import SolverDetails
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.cavity import Cavity

@@ -16,7 +16,7 @@ from napari_hmrf.errors import Cancelled, in_words, is_expected
 from napari_hmrf.solver.latest_queue import LatestQueue, Turn
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.ui.events import single_shot
-from napari_hmrf.wording import in_words_of
+from napari_hmrf.ui.window_words import in_window_words
 
 _log = logging.getLogger("napari_hmrf")
 T = TypeVar("T")
@@ -30,7 +30,7 @@ Refuse = Callable[[Exception], object]
 
 def reason_of(error: Exception) -> str:
     """Return the message of an error in the words of the window."""
-    return in_words_of("window", in_words(error))
+    return in_window_words(in_words(error))
 
 
 class GuiThread(QObject):

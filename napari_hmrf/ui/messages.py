@@ -14,15 +14,14 @@ from napari_hmrf.notes import Note, kind_of, short_of
 from napari_hmrf.solver import live_solver
 from napari_hmrf.solver.caveats import LOOSE
 from napari_hmrf.solver.drift import drift_clauses
-from napari_hmrf.solver.model_names import ModelName
+from napari_hmrf.solver.model_names import ModelName, Plane
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.optimizers.base import Reach
-from napari_hmrf.solver.priors.elastic import Plane
 from napari_hmrf.solver.staged_progress import COMPILING
 from napari_hmrf.study.landmark_data import uncertain_landmarks
 from napari_hmrf.study.models import parts_of
 from napari_hmrf.study.support import unsupported
-from napari_hmrf.wording import in_words_of
+from napari_hmrf.ui.window_words import in_window_words
 
 #: Labels of the button that solves from a cold start, without and with *Live*.
 DEFORM, PRECISELY = "Deform", "Solve precisely"
@@ -212,7 +211,7 @@ def _sentence(clause: str) -> str:
 
 
 def _label(clause: str) -> str:
-    words = in_words_of("window", clause)
+    words = in_window_words(clause)
     return f"{words[0].upper()}{words[1:]}"
 
 
@@ -225,9 +224,9 @@ def next_mark(outputs: Outputs, overlay: str) -> Mark | None:
 def in_short(error: Exception) -> str:
     """Explain in one or two sentences why there is no result."""
     if isinstance(error, ConvergenceError):
-        return in_words_of("window", f"No result: {str(error).rstrip('.')}.")
+        return in_window_words(f"No result: {str(error).rstrip('.')}.")
     if isinstance(error, HmrfError | ValueError | OSError):
-        return in_words_of("window", in_words(error))
+        return in_window_words(in_words(error))
     return f"The deformation failed: {type(error).__name__}: {error}"
 
 

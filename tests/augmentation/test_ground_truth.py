@@ -133,8 +133,8 @@ def test_pairs_differ_from_each_other_and_a_seed_reproduces_them(files):
 
 
 def test_paths_are_also_given_as_text(files):
-    paths = (str(files / name) for name in ("scan.mha", "labels.png", "m.csv"))
-    case = Case(*paths)
+    image, labels, table = (str(files / name) for name in ("scan.mha", "labels.png", "m.csv"))
+    case = Case(image, labels=labels, materials=table)
     [written] = ground_truth.write_truth(case, str(files / "out"), patches=4, count=1.0)
     assert (written.folder, written.unit) == (files / "out" / "001", "millimeter")
     with pytest.raises(ArgumentError, match=r"^image must be the name of a file, not 3$"):
@@ -257,15 +257,15 @@ def test_a_sample_scaled_below_the_amplitude_is_reported_with_shell_options(file
 
 
 def test_invalid_arguments_are_reported_before_any_solve(files, capsys):
-    assert truth(files, "--count", 0) == 1
+    case = Case(files / "scan.mha", labels=files / "labels.png", materials=files / "m.csv")
+    for name, words in (("count", "positive"), ("seed", "non-negative")):
+        with pytest.raises(ArgumentError, match=f"{name} must be a {words} whole number, not -1"):
+            ground_truth.write_truth(case, files / "out", **{name: -1})
     assert truth(files, "--amplitude", -1) == 1
-    assert truth(files, "--seed", -1) == 1
     (files / "m.csv").write_text("label,name,stiffness\n1,brain,3\n")
     assert truth(files) == 1
     said = capsys.readouterr().err
-    assert "count must be" in said
     assert "amplitude must be" in said
-    assert "seed must be a non-negative whole number, not -1" in said
     assert "solved" not in said
     assert "without a material: 2" in said
 

@@ -117,7 +117,7 @@ def test_a_cell_with_several_values_makes_one_case_per_value(files):
         rules=files / "r.csv",
         slice=1,
     )
-    assert cases[6].case.model == "paper-converged"
+    assert cases[6].case.model == "paper, converged"
     assert cases[6].changes == (Change("growth", (0.1, 0.0), "tumour"),)
 
 

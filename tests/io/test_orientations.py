@@ -19,9 +19,9 @@ from napari_hmrf.contributions import open_landmarks, open_scan
 from napari_hmrf.fields import read_field
 from napari_hmrf.io.apply import apply_field, read_field_file
 from napari_hmrf.io.case import read_case
-from napari_hmrf.io.case_options import Case
+from napari_hmrf.io.case_options import Case, RegistrationCase
 from napari_hmrf.io.fields import export_field
-from napari_hmrf.io.registration_files import RegistrationCase, register_files
+from napari_hmrf.io.registration_files import register_files
 from napari_hmrf.landmarks import read_points, write_points
 from napari_hmrf.layers.landmarks import read_landmarks
 from napari_hmrf.layers.read import Request, study_from_layers

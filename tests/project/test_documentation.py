@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import napari_hmrf
-from napari_hmrf.command_line import parser_of_commands
+from napari_hmrf.cli import read_command
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -85,7 +85,7 @@ def test_each_command_line_of_the_documentation_can_be_parsed(capsys):
     assert len(lines) > 15
     for page, line in lines:
         try:
-            parser_of_commands().parse_args(shlex.split(line)[1:])
+            read_command(shlex.split(line)[1:])
         except SystemExit:
             pytest.fail(f"{page}: {line}\n{capsys.readouterr().err}")
 

@@ -25,7 +25,7 @@ from napari_hmrf import (
 )
 from napari_hmrf.landmarks import Landmarks, StrainScale
 from napari_hmrf.study.engine import Engine
-from napari_hmrf.wording import in_words_of
+from napari_hmrf.ui.window_words import in_window_words
 
 SHAPE = 30, 36
 MARK = Landmark((10.3, 15.2), (12.3, 14.2), 2.0, sd=0.5)
@@ -197,7 +197,7 @@ def test_a_drift_of_a_study_is_estimated_saved_and_replayed_bit_by_bit(tmp_path)
     np.testing.assert_array_equal(replay(path).displacement, solution.displacement)
     held = replace(drifting, motion=replace(drifting.motion, hold_edge=True))
     (note,) = [note for note in solve_study(held, backend="cpu").notes if "outer edge" in note]
-    assert in_words_of("window", note).endswith("release the edge ('Fix outer edge' off)")
+    assert in_window_words(note).endswith("release the edge ('Fix outer edge' off)")
     assert not any("outer edge" in note for note in solution.notes)
     with pytest.raises(ArgumentError, match="drift must be True or False"):
         replace(study.motion, drift="yes")
@@ -225,6 +225,6 @@ def test_a_study_with_too_few_landmarks_for_a_drift_names_them():
     study = replace(study, motion=replace(study.motion, drift=True))
     with pytest.raises(ProblemError, match="cannot determine a drift") as refused:
         solve_study(study, backend="cpu")
-    said = in_words_of("window", str(refused.value))
+    said = in_window_words(str(refused.value))
     assert said.startswith("'Landmark' cannot determine a drift: there are too few")
     assert said.endswith("or estimate no drift ('affine drift' off).")

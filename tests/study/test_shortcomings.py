@@ -10,7 +10,8 @@ from napari_hmrf.io.case import solve_case
 from napari_hmrf.io.study_file import replay, write_study
 from napari_hmrf.solver.caveats import shortfall
 from napari_hmrf.solver.optimizers.base import Reach
-from napari_hmrf.wording import in_words_of
+from napari_hmrf.ui.window_words import in_window_words
+from napari_hmrf.wording import in_shell_words
 
 SHAPE = 20, 24
 
@@ -77,6 +78,6 @@ def test_a_solve_that_stopped_says_how_to_go_on_in_the_terms_of_the_interface():
     said = shortfall(stopped, "mm")
     assert said.startswith("the solve stopped before the tissue was fully there: 9 pixels stay")
     assert said.endswith("allow more work (`budget`)")
-    assert in_words_of("shell", said).endswith("allow more work (--budget)")
-    assert in_words_of("window", said).endswith("allow more work (press 'Continue')")
+    assert in_shell_words(said, {"budget"}).endswith("allow more work (--budget)")
+    assert in_window_words(said).endswith("allow more work (press 'Continue')")
     assert "more work" not in shortfall(replace(stopped, stopped=False), "mm")

@@ -132,7 +132,7 @@ def test_the_command_line_rejects_a_study_without_motion(tmp_path, capsys):
     told = ["solve", str(tmp_path / "a.tif"), "--out", str(tmp_path / "out")]
     assert main([*told, "--hold-edge"]) == 1
     said = capsys.readouterr().err
-    assert "napari-hmrf: nothing moves. Prescribe a displacement, force or growth (--b" in said
+    assert "napari-hmrf: nothing moves. Prescribe a displacement, force or growth. Use --b" in said
 
     labels = np.zeros(SHAPE, np.uint8)
     labels[8:12, 8:12] = 2

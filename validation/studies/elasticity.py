@@ -12,7 +12,7 @@ import numpy.typing as npt
 from napari_hmrf import ConvergenceError, ElasticPrior, Multigrid, Problem, SeilerPrior, solve
 from napari_hmrf.data import phantom
 from napari_hmrf.fields import rmsd
-from napari_hmrf.solver.priors.elastic import Plane
+from napari_hmrf.solver.model_names import Plane
 from validation.bodies import OBLONG, bar, random_block
 from validation.oracles import calculix
 from validation.oracles.elasticity import direct_solution

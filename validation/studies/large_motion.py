@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from napari_hmrf import ElasticPrior, Multigrid, NeoHookeanPrior, Problem, solve
 from napari_hmrf.loads import Loads, growth, weight
-from napari_hmrf.solver.priors.elastic import Plane
+from napari_hmrf.solver.model_names import Plane
 from validation.bodies import bar, between_plates, turned
 from validation.oracles import calculix
 from validation.oracles.large_motion import large_field

@@ -26,7 +26,7 @@ from napari_hmrf import (
     solve,
 )
 from napari_hmrf.loads import Loads, growth, pressure, reactions, traction, weight
-from napari_hmrf.solver.priors.elastic import Plane
+from napari_hmrf.solver.model_names import Plane
 from validation.oracles import calculix
 from validation.oracles.parts import pressure_of
 from validation.study import Options, Results, Table, Target, order, study

@@ -67,10 +67,11 @@ from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.fields import read_field, write_field, write_movie
 from napari_hmrf.io.apply import FieldFile, apply_field, write_field_file
 from napari_hmrf.io.case import Case, solve_case
+from napari_hmrf.io.case_options import RegistrationCase
 from napari_hmrf.io.fields import export_field, write_mapping
 from napari_hmrf.io.figures import write_pictures, write_result_pictures, write_volume_pictures
 from napari_hmrf.io.images import ImageFile, write_image
-from napari_hmrf.io.registration_files import RegistrationCase, register_files
+from napari_hmrf.io.registration_files import register_files
 from napari_hmrf.io.table_files import write_csv
 from napari_hmrf.io.tables import write_measurements, write_named_materials, write_preset
 from napari_hmrf.io.uncertainty_files import write_uncertainty

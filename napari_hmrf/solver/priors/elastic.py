@@ -17,7 +17,7 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import KW_ONLY, dataclass, replace
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +26,7 @@ from napari_hmrf.arguments import real
 from napari_hmrf.checks import POISSON_RANGE, Choice, Penalty, Poisson, convert
 from napari_hmrf.errors import ArgumentError, ProblemError
 from napari_hmrf.solver.data_term import DataTerm
+from napari_hmrf.solver.model_names import Plane
 from napari_hmrf.solver.priors.elements import (
     ElasticMaterial,
     ElementShape,
@@ -41,7 +42,6 @@ from napari_hmrf.solver.problem import Problem, as_numbers, grid_in_words, in_pi
 from napari_hmrf.solver.rigid_modes import check_held
 from napari_hmrf.solver.sliding_parts import refuse_sliding
 
-Plane = Literal["stress", "strain"]
 _PLANE = Annotated[Plane, Choice()]
 
 #: Default penalty K (eq. 19) of doubted observations. A force of 1 strains a pixel of the stiffest

@@ -14,7 +14,8 @@ import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.data_term import refuse_data
-from napari_hmrf.solver.priors.elastic import ElasticPrior, Plane, prior_in_words
+from napari_hmrf.solver.model_names import Plane
+from napari_hmrf.solver.priors.elastic import ElasticPrior, prior_in_words
 from napari_hmrf.solver.priors.elements import Float64Array
 from napari_hmrf.solver.priors.finite_bricks import FiniteBricks, brick_moduli
 from napari_hmrf.solver.priors.finite_strain import FiniteElements, FiniteMaterial, grown_sizes
