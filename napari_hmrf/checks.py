@@ -66,6 +66,12 @@ def _plain(value: Any) -> Any:
     return tuple(plain) if isinstance(plain, list) else plain
 
 
+def _number(value: Any) -> Any:
+    if isinstance(value, bool | bytes):
+        raise ValueError("it is not a number")
+    return value
+
+
 def _lower(value: Any) -> Any:
     return value.strip().casefold() if isinstance(value, str) else value
 
@@ -90,7 +96,7 @@ def _along_axes(value: Any) -> Any:
     return tuple(value.split("/")) if isinstance(value, str) and "/" in value else _plain(value)
 
 
-_BOUNDED = Annotated[float, Field(allow_inf_nan=False)]
+_BOUNDED = Annotated[float, BeforeValidator(_number), Field(allow_inf_nan=False)]
 #: Number of components; `strict` refuses sets, which have no order.
 _AXES = Field(min_length=2, max_length=3, strict=True)
 

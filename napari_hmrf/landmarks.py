@@ -1,13 +1,15 @@
 """Landmarks with standard deviations, and landmark files of BigWarp and 3D Slicer.
 
 `Drawing.from_landmarks` creates a drawing that moves tissue from points to target positions, and
-`Grid.to_pixels` converts points from mm to pixels::
+`Grid.to_pixels` converts the points of a file to pixels::
 
-    from napari_hmrf import Drawing
+    from napari_hmrf import Drawing, Grid
     from napari_hmrf.landmarks import read_points
 
-    pairs = read_points("landmarks.csv")
-    drawing = Drawing.from_landmarks(pairs.points, pairs.targets, radius=3)
+    pairs, grid = read_points("landmarks.csv"), Grid.from_image("scan.nii.gz")
+    source = grid.to_pixels(pairs.points, pairs.unit)
+    target = grid.to_pixels(pairs.targets, pairs.unit)
+    drawing = Drawing.from_landmarks(source, target, radius=3)
 
 With a standard deviation, as in ``Drawing.from_landmarks(..., sd=0.5)``, tissue may miss a target.
 `Landmarks` are such points of a `Problem`. The tissue follows each point according to its standard

@@ -19,6 +19,7 @@ from napari_hmrf.field.displacement_field import Field
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.observation import PixelField
 from napari_hmrf.field.resample import unknown_values, without_removed
+from napari_hmrf.field.units import unit_factor
 from napari_hmrf.field.warp import warp
 from napari_hmrf.geometry import Geometry
 from napari_hmrf.io.fields import placed, read_field, write_field
@@ -39,10 +40,8 @@ Pixels = npt.NDArray[Any]
 #: Displacement, in mm, below which a component in a file is considered to be zero.
 _ROUNDING = 1e-4
 #: Sentence about fields without a position in world coordinates.
-_NO_PLACE = (
-    " Its image has no position in world coordinates, so the field is at the origin, and its "
-    "spacing is assumed to be in mm."
-)
+_NO_PLACE = " Its image has no position in world coordinates, so the field is at the origin{}."
+_NO_SIZE = ", and its spacing is assumed to be in mm"
 #: An image may contain labels if it has at most so many distinct values, or if at most this share
 #: of the pixels with a value differ from the next pixel.
 _MOST_LABELS, _UNEVEN = 64, 0.3
@@ -194,9 +193,9 @@ def write_field_file(
     name, d = Path(path).name, field.displacement
     residual = write_field(path, d, **field.geometry.as_itk, tissue=field.tissue, forward=forward)
     if forward:
-        place_note = "" if field.is_placed else _NO_PLACE
+        place_note = _note_on_place(field)
         return f"Saved {name}: the forward field, which moves points.{place_note}"
-    place_note = "" if field.is_placed else _NO_PLACE
+    place_note = _note_on_place(field)
     sentence = (
         f"Saved {name}: the backward field, which moves images. Accuracy of the inverse: "
         f"{residual:.2g} px at the centres of the pixels that tissue moved to; between pixels and "
@@ -211,6 +210,12 @@ def write_field_file(
         f"{sentence} However, the tissue folds over itself at {folded} {sites}, where no inverse "
         "exists: the image will show only one of the overlapping parts. Reduce the motion there."
     )
+
+
+def _note_on_place(field: FieldFile) -> str:
+    """Return a sentence about the place of a field whose image has none, or ""."""
+    assumed = _NO_SIZE if field.geometry.unit == "pixel" else ""
+    return "" if field.is_placed else _NO_PLACE.format(assumed)
 
 
 def apply_field(
@@ -265,6 +270,7 @@ def apply_field(
         )
     if n == image.ndim:
         image.refuse_elsewhere(field.in_patient, name, "the field")
+        _refuse_other_size(field, image, name)
     note = ""
     if n == image.ndim:
         moved = _warp_pixels(field, pixels, order)
@@ -282,6 +288,20 @@ def apply_field(
     if n == 3 and image.geometry is None:
         image = image.laid_as(None, tuple(np.argsort(field.file_axes).tolist()))
     return Applied(write_image(target, image), "; ".join(notes))
+
+
+def _refuse_other_size(field: FieldFile, image: ImageFile, name: str) -> None:
+    """Raise an error if a picture and a field state different sizes of their pixels."""
+    if not image.sizes or field.geometry.unit == "pixel":
+        return
+    own = image.grid.scaled(unit_factor(image.unit, "millimeter"))
+    if not own.same_as(Geometry.at_origin(field.shape, field.spacing)):
+        sizes = (grid_in_words(each.spacing) for each in (own, field))
+        raise ProblemError(
+            name,
+            "has pixels of {} mm, but the field has pixels of {} mm. Give an image on the grid of "
+            "the field.".format(*sizes),
+        )
 
 
 def _note_on_labels(pixels: Pixels, name: str) -> str:

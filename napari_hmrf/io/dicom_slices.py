@@ -24,6 +24,9 @@ _FRAME_POSITIONS, _FRAME_DIRECTIONS, _FRAME_COUNT = (
     for tag in (rb"\x20\x00\x32", rb"\x20\x00\x37", rb"\x28\x00\x08")
 )
 _PIXELS = b"\xe0\x7f\x10\x00"
+#: Rescale slopes and intercepts of frames, and tags of the time between frames.
+_RESCALE = re.compile(rb"\x28\x00([\x52\x53])\x10(?:DS..|.\x00\x00\x00)([-+.0-9eE ]+)", re.DOTALL)
+_TIMES = re.compile(rb"\x18\x00[\x63\x65]\x10(?:DS|.\x00)")
 
 
 class Slice(NamedTuple):
@@ -45,8 +48,6 @@ class Slice(NamedTuple):
 def ordered(slices: list[Slice]) -> list[Slice]:
     """Return the slices of a volume in the order of their positions.
 
-    Slices without positions keep their order.
-
     Raises
     ------
     Unreadable
@@ -55,8 +56,6 @@ def ordered(slices: list[Slice]) -> list[Slice]:
     if any(math.prod(each.size[2:]) > 1 for each in slices):
         raise Unreadable("the folder contains files of several frames. Give one of these files")
     _check_alike(slices)
-    if all(each.origin is None for each in slices):
-        return slices
     lost = [each.name for each in slices if each.origin is None]
     if lost:
         raise Unreadable(
@@ -148,8 +147,17 @@ def check_regular(
 
 
 def check_frames(source: Path) -> None:
-    """Raise an error if the frames of a DICOM file are not in the order of their positions."""
+    """Raise an error if the frames of a DICOM file are not the slices of a volume in order."""
     header = source.read_bytes().partition(_PIXELS)[0]
+    if _TIMES.search(header):
+        raise Unreadable(
+            "its frames are times, not slices. Save one frame as a picture, such as a .tif"
+        )
+    rescale = set(_RESCALE.findall(header))
+    if len(rescale) > len({tag for tag, _ in rescale}):
+        raise Unreadable(
+            "its frames have different rescale slopes. Convert it with dcm2niix, which applies them"
+        )
     try:
         positions, directions, counts = (
             [[*map(float, text.split(b"\\"))] for text in found.findall(header)]
@@ -170,6 +178,27 @@ def check_frames(source: Path) -> None:
         )
     names = [f"frame {number}" for number in range(1, len(positions) + 1)]
     check_regular(positions, normal, (1.0, 1.0), names)
+
+
+def refuse_damaged(folder: Path, series: str, names: Sequence[str]) -> None:
+    """Raise an error if a file of a series is not among the readable files of its folder.
+
+    Parameters
+    ----------
+    folder : Path
+    series : str
+        Unique identifier of the series.
+    names : sequence of str
+        Paths of the files of the series that can be read.
+    """
+    known = {Path(name).name for name in names}
+    for file in sorted(folder.iterdir()):
+        if file.name in known or not file.is_file():
+            continue
+        content = file.read_bytes()
+        is_slice = series.encode() in content and _PIXELS in content
+        if is_slice or (not content and file.suffix.lower() == ".dcm"):
+            raise Unreadable(f"{file.name} is damaged or truncated. Replace this file")
 
 
 def _listed(names: list[str]) -> str:

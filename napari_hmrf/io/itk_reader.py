@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from napari_hmrf.field.units import unit_factor
 from napari_hmrf.geometry import Geometry
-from napari_hmrf.io.dicom_slices import Slice, check_frames, ordered
+from napari_hmrf.io.dicom_slices import Slice, check_frames, ordered, refuse_damaged
 from napari_hmrf.io.itk_image import CUT_SHORT, ItkImage, Unreadable, check_size, missing_package
 
 #: ITK's readers by suffix. Without a name, ITK tries all its readers.
@@ -43,6 +43,8 @@ _PACKED, _ZLIB_OR_GZIP = ("true", "gz", "gzip"), 32
 #: Number of bytes that are decompressed at a time.
 _PIECE = 2**16
 _FIELD = "DisplacementFieldTransform"
+#: DICOM keys of the size of pixels: in the patient, and at the detector.
+_PIXEL_SIZES = {"0028|0030", "0018|1164", "0018|2010"}
 #: DICOM keys of the position of a slice, and of its rescale slope and intercept.
 _POSITION, _RESCALE = "0020|0032", ("0028|1053", "0028|1052")
 
@@ -69,8 +71,8 @@ def read_head(path: Path) -> tuple[tuple[int, ...], bool]:
     return reader.GetSize()[::-1], is_field
 
 
-def read_pixels(path: Path) -> ItkImage:
-    """Read an image.
+def read_pixels(path: Path, suffix: str = "") -> ItkImage:
+    """Read an image, by default in the format of its suffix.
 
     Raises
     ------
@@ -79,7 +81,7 @@ def read_pixels(path: Path) -> ItkImage:
     HmrfError
         If SimpleITK is not installed.
     """
-    reader, unit = _checked_reader(path)
+    reader, unit = _checked_reader(path, suffix)
     image = _image(reader.Execute())
     return image._replace(geometry=image.geometry.scaled(unit))
 
@@ -136,9 +138,11 @@ def read_series(folder: Path) -> ItkImage:
     if len(series) != 1:
         content = f"{len(series)} series" if series else "no DICOM file"
         raise Unreadable(f"the folder contains {content}. Give a folder with one series")
-    slices = [*map(_slice, reader.GetGDCMSeriesFileNames(str(folder), series[0]))]
-    if len(slices) > 1:
-        slices = ordered(slices)
+    names = reader.GetGDCMSeriesFileNames(str(folder), series[0])
+    refuse_damaged(folder, series[0], names)
+    if len(names) == 1:
+        return read_pixels(Path(names[0]), ".dcm")
+    slices = ordered([*map(_slice, names)])
     reader.SetFileNames([each.path for each in slices])
     if len({each.rescale for each in slices}) > 1:  # the type of the first slice is too narrow
         reader.SetOutputPixelType(sitk.sitkFloat32)
@@ -184,9 +188,9 @@ def _image(image: Any) -> ItkImage:
     return ItkImage(pixels, image.GetNumberOfComponentsPerPixel(), geometry, metadata)
 
 
-def _checked_reader(path: Path) -> tuple[Any, float]:
+def _checked_reader(path: Path, suffix: str = "") -> tuple[Any, float]:
     """Return a reader whose file can contain its pixels, and its unit of length in mm."""
-    sitk, suffix, unit = _simpleitk(), path.suffix.lower(), 1.0
+    sitk, suffix, unit = _simpleitk(), suffix or path.suffix.lower(), 1.0
     if suffix == ".dcm":
         check_frames(path)
     fields, end = _text_header(path) if suffix in (*_NRRD, *_META) else ({}, 0)
@@ -198,6 +202,8 @@ def _checked_reader(path: Path) -> tuple[Any, float]:
     reader.SetFileName(str(path))
     reader.SetImageIO(READERS.get(suffix, ""))
     reader.ReadImageInformation()
+    if suffix == ".dcm":
+        _require_pixel_size(reader)
     files = path.parent.iterdir() if suffix in _PARTED else [path]
     largest = max(filter(Path.is_file, files), key=lambda file: file.stat().st_size)
     needed = _bytes_of(reader)
@@ -302,6 +308,7 @@ def _slice(path: str) -> Slice:
     reader.SetImageIO(READERS[".dcm"])
     reader.ReadImageInformation()
     check_size(_bytes_of(reader), Path(path))
+    _require_pixel_size(reader)
     keys = reader.GetMetaDataKeys()
     return Slice(
         path,
@@ -311,6 +318,15 @@ def _slice(path: str) -> Slice:
         reader.GetOrigin() if _POSITION in keys else None,
         tuple(reader.GetMetaData(key).strip() if key in keys else "" for key in _RESCALE),
     )
+
+
+def _require_pixel_size(reader: Any) -> None:
+    """Raise an error for a DICOM slice without a pixel size, for which ITK assumes 1 mm."""
+    if math.prod(reader.GetSize()[2:]) == 1 and not _PIXEL_SIZES & {*reader.GetMetaDataKeys()}:
+        raise Unreadable(
+            "its header does not state the size of its pixels. Save it as a picture, such as a "
+            ".tif, whose lengths are in pixels"
+        )
 
 
 def _check_text(path: Path) -> None:

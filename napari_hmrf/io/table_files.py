@@ -24,6 +24,8 @@ from napari_hmrf.regular_file import read_at_most
 ENDING = ".csv"
 #: Initial characters of cells that a spreadsheet interprets as formulas.
 _FORMULA = "=+-@\t\r"
+#: First line with which Excel states the separator.
+_SEPARATOR_LINE = re.compile(r"\Asep=.\n")
 #: Numbers with a decimal comma, also several with slashes or in per cent.
 _DECIMALS = re.compile(r"[-+\d,.eE/% ]+")
 #: Known column title for each synonym, suggested if a column is unknown.
@@ -197,7 +199,7 @@ def text_of(path: Path, largest: int) -> str:
         text = content.decode("utf-16" if is_wide else "utf-8-sig")
     except UnicodeDecodeError:
         raise FileFormatError(
-            f"{path.name} is not UTF-8 text. Give a table as text, such as a .csv."
+            f"{path.name} is not UTF-8 text. Save it as text in UTF-8, such as 'CSV UTF-8'."
         ) from None
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
@@ -216,6 +218,7 @@ def read_cells(path: Path, largest: int) -> list[tuple[int, list[str]]]:
         If the file cannot be opened.
     """
     text = text_of(path, largest)
+    text = _SEPARATOR_LINE.sub("\n", text)
     first = text.lstrip().partition("\n")[0]
     separator = max(",;\t", key=first.count)
     reader = csv.reader(io.StringIO(text), delimiter=separator, skipinitialspace=separator != "\t")

@@ -173,14 +173,18 @@ class Grid:
         if difference:
             raise ProblemError("grid", f"{difference}. {remedy}")
 
-    def to_pixels(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
-        """Convert points in patient coordinates to pixels of this grid.
+    def to_pixels(self, points: npt.ArrayLike, unit: str = "mm") -> npt.NDArray[np.float64]:
+        """Convert the points of a landmark file to pixels of this grid.
 
         Parameters
         ----------
         points : array_like, shape (N, 3) or (N, 2)
-            Points in mm, as returned by `read_points`: (z, y, x), towards superior, posterior and
-            left, for a volume or a slice of a volume; (y, x) for a two-dimensional image.
+            Points as returned by `read_points`: ([z,] y, x) for a volume, a slice of a volume, or a
+            two-dimensional image.
+        unit : str
+            Unit that `read_points` returned: "mm" for positions in the patient, towards superior,
+            posterior and left, as of 3D Slicer; "" for coordinates in the unit of the image, from
+            its first pixel and along the axes of its file, as of BigWarp; or "pixel".
 
         Returns
         -------
@@ -192,12 +196,22 @@ class Grid:
         ProblemError
             If the grid has no place, or if points are on another slice or have too few axes.
         """
+        given = np.asarray(points, dtype=np.float64)
+        if self.place is None and unit != "mm":
+            return given / (self.spacing if unit == "" else 1.0)
         if self.place is None:
-            raise ProblemError("grid", "has no position in the world. Use Grid.from_image(image).")
-        matrix, given = np.array(self.place.matrix), np.asarray(points, dtype=np.float64)
+            raise ProblemError(
+                "grid",
+                "has no position in the world. Pass the unit of the landmark file, as in "
+                "grid.to_pixels(file.points, file.unit), or use the grid of a medical image.",
+            )
+        matrix = np.array(self.place.matrix)
+        if unit != "mm":  # from the first pixel
+            sizes = np.linalg.norm(matrix[:-1, :-1], axis=0) if unit == "" else 1.0
+            matrix = np.diag([*np.broadcast_to(sizes, len(matrix) - 1), 1.0])
         if given.ndim != 2 or given.shape[1] != len(matrix) - 1:
             raise ProblemError(
-                "points", f"have shape {given.shape}. Pass (N, {len(matrix) - 1}) numbers in mm."
+                "points", f"have shape {given.shape}. Pass (N, {len(matrix) - 1}) numbers."
             )
         inside = (given - matrix[:-1, -1]) @ np.linalg.inv(matrix[:-1, :-1]).T
         others = list(self.place.others)

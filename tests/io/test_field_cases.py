@@ -140,6 +140,25 @@ def write_with_scout(folder):
     write_slice(folder / "s9.dcm", (0, 0, 0), SAGITTAL)
 
 
+def write_truncated(folder, number):
+    write_series(folder, along_z(0, 2, 4, 6, 8, 10))
+    file = folder / f"s{number}.dcm"
+    file.write_bytes(file.read_bytes()[:-20])
+
+
+def write_without_size(path):
+    write_slice(path, (0, 0, 0))
+    path.write_bytes(path.read_bytes().replace(b"\x28\x00\x30\x00", b"\x28\x00\x34\x00"))
+
+
+def write_slopes(path):
+    """Write frames, with elements of two slopes as in the sequence of enhanced files."""
+    content = write_frames(path, (0, 3, 6, 9)).read_bytes()
+    pixels = content.rindex(b"\xe0\x7f\x10\x00")
+    slopes = b"".join(b"\x28\x00\x53\x10DS\x02\x00" + each for each in (b"1 ", b"2 "))
+    path.write_bytes(content[:pixels] + slopes + content[pixels:])
+
+
 def solution_of(displacement, frame=None, spacing=(1.0, 1.0)):
     tissue = np.ones(displacement.shape[:-1], bool)
     run = Provenance("cpu", "here")
@@ -162,6 +181,10 @@ REFUSED = {
     ),
     "two volumes": ("ct", lambda p: write_series(p, along_z(0, 2, 4, 0, 2, 4)), "than one volume"),
     "a scout": ("ct", write_with_scout, "s9.dcm"),
+    "a truncated slice": ("ct", lambda p: write_truncated(p, 3), "s3.dcm is damaged"),
+    "a truncated last slice": ("ct", lambda p: write_truncated(p, 5), "s5.dcm is damaged"),
+    "no pixel size": ("a.dcm", lambda p: write_without_size(p), "size of its pixels"),
+    "different slopes": ("a.dcm", lambda p: write_slopes(p), "different rescale slopes"),
     "frames without order": ("a.dcm", lambda p: write_frames(p, (0, 6, 3, 9)), "order"),
     "frames in one place": ("a.dcm", lambda p: write_frames(p, (0, 3, 3, 6)), "position"),
     "missing frames": ("a.dcm", lambda p: write_frames(p, (0, 3, 9, 12)), "frame 2 and frame 3"),
@@ -357,6 +380,11 @@ def test_the_calibration_of_a_tif_counts(tmp_path, monkeypatch, axes, sizes, uni
     for name in ("cells.tif", "marks.csv"):
         apply_field(field, tmp_path / name, tmp_path / f"moved {name}", labels=False)
     np.testing.assert_allclose(read_points(tmp_path / "moved marks.csv").points, [to * sizes])
+    if read_as == "µm":
+        twice = tuple(2 * size for size in sizes)
+        write_tiff(tmp_path / "twice.tif", axes, twice, unit)
+        with pytest.raises(ProblemError, match=r"twice\.tif: has pixels of"):
+            apply_field(field, tmp_path / "twice.tif", tmp_path / "no.tif", labels=False)
     moved = read_image(tmp_path / "moved cells.tif")
     assert (moved.sizes, moved.unit) == (pytest.approx(sizes), read_as)
 

@@ -220,6 +220,9 @@ def test_a_scan_means_the_same_in_every_orientation(orientation, kind, door, tmp
     ends = world_of(grid, np.array([mark.source, mark.target]))
     assert scan.far(ends, [source, target]) < CLOSE, "a landmark is in another place"
     assert scan.far(world_of(grid, grid.to_pixels([source[::-1]])), source) < CLOSE
+    if door == "SimpleITK":  # along the axes of the file, as BigWarp
+        stored = scan.stored(SOURCE) * scan.image.GetSpacing()[::-1]
+        assert scan.far(world_of(grid, grid.to_pixels([stored], "")), source) < CLOSE
 
     solution = solve_study(study, backend="cpu")
     forward, backward = tmp_path / "forward.nrrd", tmp_path / "backward.nrrd"
