@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.io.itk_image import MOST_PACKED
+from napari_hmrf.io.decoded import MOST_PACKED
 
 if sys.platform == "linux":
     import resource

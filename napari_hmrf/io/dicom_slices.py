@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.io.itk_image import Unreadable
+from napari_hmrf.io.decoded import Unreadable
 
 #: Largest distance between a pixel and its place on a regular grid, in pixels.
 _OFF = 0.1

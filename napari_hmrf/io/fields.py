@@ -28,13 +28,13 @@ from napari_hmrf.field.inverse_field import inverse_displacement
 from napari_hmrf.field.units import SAME_SPACING, UNKNOWN_UNITS, is_length, unit_factor
 from napari_hmrf.field.warp import as_field
 from napari_hmrf.geometry import Geometry, is_orthogonal
+from napari_hmrf.io.decoded import Decoded, Unreadable
 from napari_hmrf.io.itk_files import (
     encode,
     holds_vectors,
     read_itk_vectors,
     require_simpleitk,
 )
-from napari_hmrf.io.itk_image import ItkImage, Unreadable
 from napari_hmrf.solver.problem import as_numbers, grid_in_words
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.study import Grid
@@ -207,7 +207,7 @@ def _write_vectors(
     field_type = _FORWARD if forward else _BACKWARD
     metadata = {_NOTES: f"{_SLICER}: {field_type}"} if suffix in _NIFTI else {_SLICER: field_type}
     along_world = back[..., ::-1] @ geometry.direction.T
-    image = ItkImage(along_world, n, geometry, {} if suffix == _NO_METADATA else metadata)
+    image = Decoded(along_world, n, geometry, {} if suffix == _NO_METADATA else metadata)
     content = encode(target, image, suffix, transform=suffix == _NO_METADATA)
     write_whole(target, content)
 

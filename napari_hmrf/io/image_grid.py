@@ -13,8 +13,8 @@ from napari_hmrf.arguments import is_whole, shown
 from napari_hmrf.errors import ArgumentError, ProblemError
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.geometry import Geometry
+from napari_hmrf.io.decoded import Unreadable
 from napari_hmrf.io.images import read_image
-from napari_hmrf.io.itk_image import Unreadable
 from napari_hmrf.io.nifti import MILLIMETRES, check_places, lps_geometry
 from napari_hmrf.study.study import Grid
 

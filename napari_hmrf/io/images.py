@@ -23,8 +23,8 @@ from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.field.units import is_length, unit_factor
 from napari_hmrf.geometry import Geometry
+from napari_hmrf.io.decoded import Decoded, Unreadable
 from napari_hmrf.io.itk_files import encode, itk_shape, read_itk_image, read_itk_series
-from napari_hmrf.io.itk_image import ItkImage, Unreadable
 from napari_hmrf.regular_file import refuse_irregular
 
 #: Axes of .tif files that are not axes of space, with their content, and the unit of OME's sizes.
@@ -559,7 +559,7 @@ def _encode(target: Path, image: ImageFile, suffix: str) -> bytes:
     pixels = image.pixels_in_place
     geometry = image.geometry or Geometry.at_origin(pixels.shape[: image.ndim])
     components = pixels.shape[-1] if image.colours else 1
-    return encode(target, ItkImage(pixels, components, geometry, {}), suffix)
+    return encode(target, Decoded(pixels, components, geometry, {}), suffix)
 
 
 def _encode_tiff(image: ImageFile) -> bytes:

@@ -18,7 +18,7 @@ from napari_hmrf.atomic_write import raise_for_space, raise_if_full, temporary_b
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.io import itk_reader
 from napari_hmrf.io.child_process import ChildDied, call_in_child
-from napari_hmrf.io.itk_image import ItkImage, Unreadable, missing_package
+from napari_hmrf.io.decoded import Decoded, Unreadable, missing_package
 from napari_hmrf.io.nifti import is_nifti, read_nifti, read_nifti_header
 from napari_hmrf.regular_file import refuse_irregular
 
@@ -37,7 +37,7 @@ _GROUP = b"TransformGroup"
 _START = 2**20
 
 
-def read_itk_image(source: Path) -> ItkImage:
+def read_itk_image(source: Path) -> Decoded:
     """Read an image.
 
     Raises
@@ -60,33 +60,33 @@ def itk_shape(source: Path) -> tuple[int, ...]:
     Raises
     ------
     Unreadable, HmrfError, OSError
-        As for `read_itk_image`.
+        As for `read_decoded`.
     """
     return _head(source)[0]
 
 
-def read_itk_series(folder: Path) -> ItkImage:
+def read_itk_series(folder: Path) -> Decoded:
     """Read the only series in a folder of DICOM files.
 
     Raises
     ------
     Unreadable
-        As for `read_itk_image`; or if the folder does not contain exactly one series.
+        As for `read_decoded`; or if the folder does not contain exactly one series.
     HmrfError
         If SimpleITK is not installed.
     """
     return _right_angled(_call(itk_reader.read_series, folder))
 
 
-def read_itk_vectors(source: Path) -> ItkImage:
+def read_itk_vectors(source: Path) -> Decoded:
     """Read an image of vectors, or the displacement field of a transform.
 
     Raises
     ------
     Unreadable
-        As for `read_itk_image`; or if the numbers of a text file do not match its header.
+        As for `read_decoded`; or if the numbers of a text file do not match its header.
     HmrfError, OSError
-        As for `read_itk_image`.
+        As for `read_decoded`.
     """
     if source.suffix.lower() not in _TRANSFORMS:
         return read_itk_image(source)
@@ -115,7 +115,7 @@ def holds_vectors(source: Path) -> bool:
         return False
 
 
-def encode(target: Path, image: ItkImage, suffix: str, *, transform: bool = False) -> bytes:
+def encode(target: Path, image: Decoded, suffix: str, *, transform: bool = False) -> bytes:
     """Return the bytes of an image file, which SimpleITK writes to a temporary file.
 
     Parameters
@@ -123,7 +123,7 @@ def encode(target: Path, image: ItkImage, suffix: str, *, transform: bool = Fals
     target : Path
         Target file. The temporary file is created in its folder, so that space is only required on
         one disk.
-    image : ItkImage
+    image : Decoded
     suffix : str
         Suffix that selects the format.
     transform : bool
@@ -198,7 +198,7 @@ def _call(function: Callable[[Path], T], source: Path) -> T:
         ) from None
 
 
-def _right_angled(image: ItkImage) -> ItkImage:
+def _right_angled(image: Decoded) -> Decoded:
     try:
         return image._replace(geometry=image.geometry.right_angled())
     except ValueError as error:

@@ -16,8 +16,8 @@ import numpy.typing as npt
 
 from napari_hmrf.field.units import unit_factor
 from napari_hmrf.geometry import Geometry
+from napari_hmrf.io.decoded import CUT_SHORT, Decoded, Unreadable, check_size, missing_package
 from napari_hmrf.io.dicom_slices import Slice, check_frames, ordered, refuse_damaged
-from napari_hmrf.io.itk_image import CUT_SHORT, ItkImage, Unreadable, check_size, missing_package
 
 #: ITK's readers by suffix. Without a name, ITK tries all its readers.
 READERS = {
@@ -71,7 +71,7 @@ def read_head(path: Path) -> tuple[tuple[int, ...], bool]:
     return reader.GetSize()[::-1], is_field
 
 
-def read_pixels(path: Path, suffix: str = "") -> ItkImage:
+def read_pixels(path: Path, suffix: str = "") -> Decoded:
     """Read an image, by default in the format of its suffix.
 
     Raises
@@ -86,7 +86,7 @@ def read_pixels(path: Path, suffix: str = "") -> ItkImage:
     return image._replace(geometry=image.geometry.scaled(unit))
 
 
-def read_transform(path: Path) -> ItkImage:
+def read_transform(path: Path) -> Decoded:
     """Read the displacement field of a transform.
 
     Raises
@@ -121,7 +121,7 @@ def read_transform(path: Path) -> ItkImage:
     return _image(field)
 
 
-def read_series(folder: Path) -> ItkImage:
+def read_series(folder: Path) -> Decoded:
     """Read the only series in a folder of DICOM files.
 
     Raises
@@ -149,7 +149,7 @@ def read_series(folder: Path) -> ItkImage:
     return _image(reader.Execute())
 
 
-def write(path: Path, image: ItkImage, *, transform: bool) -> None:
+def write(path: Path, image: Decoded, *, transform: bool) -> None:
     """Write an image, or a displacement field as a transform.
 
     Raises
@@ -174,7 +174,7 @@ def write(path: Path, image: ItkImage, *, transform: bool) -> None:
         sitk.WriteImage(made, str(path), useCompression=True)
 
 
-def _image(image: Any) -> ItkImage:
+def _image(image: Any) -> Decoded:
     pixels: npt.NDArray[Any] = _simpleitk().GetArrayFromImage(image)
     spacing = image.GetSpacing()[::-1]
     shape = pixels.shape[: len(spacing)]
@@ -185,7 +185,7 @@ def _image(image: Any) -> ItkImage:
             metadata[key] = image.GetMetaData(key)
         except (UnicodeError, TypeError):  # the text or its key is damaged
             continue
-    return ItkImage(pixels, image.GetNumberOfComponentsPerPixel(), geometry, metadata)
+    return Decoded(pixels, image.GetNumberOfComponentsPerPixel(), geometry, metadata)
 
 
 def _checked_reader(path: Path, suffix: str = "") -> tuple[Any, float]:

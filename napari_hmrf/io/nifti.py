@@ -18,10 +18,10 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.geometry import Geometry
-from napari_hmrf.io.itk_image import (
+from napari_hmrf.io.decoded import (
     CUT_SHORT,
     MOST_PACKED,
-    ItkImage,
+    Decoded,
     Unreadable,
     check_size,
     missing_package,
@@ -152,7 +152,7 @@ def read_nifti_header(path: Path) -> NiftiHeader:
     return NiftiHeader(header, kind, first, scaling, shape[::-1], components, geometry)
 
 
-def read_nifti(path: Path) -> ItkImage:
+def read_nifti(path: Path) -> Decoded:
     """Read a NIfTI image; vectors are converted to displacements along left, posterior, superior.
 
     Raises
@@ -168,7 +168,7 @@ def read_nifti(path: Path) -> ItkImage:
     if header.is_field:
         values = _as_displacements(header, values)
     text = bytes(header.stored["descrip"]).decode("latin-1").strip("\0 ")
-    return ItkImage(values, header.components, header.geometry, {"descrip": text})
+    return Decoded(values, header.components, header.geometry, {"descrip": text})
 
 
 def _is_pair(path: Path) -> bool:

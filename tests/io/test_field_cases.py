@@ -25,9 +25,9 @@ from napari_hmrf.io import case
 from napari_hmrf.io.apply import FieldFile, _note_on_labels, apply_field
 from napari_hmrf.io.case import as_labels, read_case
 from napari_hmrf.io.case_options import Case
+from napari_hmrf.io.decoded import Unreadable
 from napari_hmrf.io.dicom_slices import check_regular
 from napari_hmrf.io.images import is_scan, read_image, write_image
-from napari_hmrf.io.itk_image import Unreadable
 from napari_hmrf.io.landmark_files import is_landmark_file
 from napari_hmrf.io.registration_files import relative_place
 from napari_hmrf.io.segmentation_tables import read_label_names

@@ -21,7 +21,7 @@ class Unreadable(Exception):
     """Error for a file that could not be read; the message is the reason, as a clause, or ""."""
 
 
-class ItkImage(NamedTuple):
+class Decoded(NamedTuple):
     """Image, or field of vectors along the axes x, y[, z] of LPS.
 
     Attributes
