@@ -53,7 +53,7 @@ _HEADER = "header"
 _HARMLESS = 2**30
 #: Largest ratio of larger arrays to the size of their file. Images of a scan have a ratio below 10,
 #: constant images, as in decompression bombs, of 1000.
-_MOST_PACKED = 1032
+_MOST_PACKED = 100
 #: Largest nesting depth of a header.
 _DEEPEST = 32
 #: Errors that zipfile, NumPy and JSON raise on invalid bytes.
@@ -175,6 +175,9 @@ class Archive(Generic[T]):
         file = io.BytesIO()
         members: dict[str, Any] = {_HEADER: np.array(text), **arrays}
         np.savez_compressed(file, **members)
+        if _is_suspicious(sum(each.nbytes for each in members.values()), file.tell()):
+            file = io.BytesIO()  # such as a field that moves in a small part of a large volume
+            np.savez(file, **members)
         write_whole(target, file.getvalue())
         return target
 
@@ -289,6 +292,11 @@ def _replaced(value: Any, change: Callable[[Any, str], Any], path: tuple[str, ..
     return value
 
 
+def _is_suspicious(size: int, packed: int) -> bool:
+    """Return whether so many bytes in a file of `packed` bytes may be meant to fill the memory."""
+    return size > max(_HARMLESS, _MOST_PACKED * packed)
+
+
 def _read(path: Path, *, only_header: bool = False) -> tuple[Header, Arrays]:
     """Read the header and the arrays of a file."""
     refuse_irregular(path)
@@ -299,7 +307,7 @@ def _read(path: Path, *, only_header: bool = False) -> tuple[Header, Arrays]:
         if len(set(names)) < len(names):
             raise _Invalid("two of its members have the same name")
         size = sum(info.file_size for info in archive.infolist())
-        if size > max(_HARMLESS, _MOST_PACKED * path.stat().st_size):
+        if _is_suspicious(size, path.stat().st_size):
             raise _Invalid(f"it declares {size} bytes, more than such a file may contain")
         header = json.loads(str(_array(archive, _HEADER).item()))
         if not isinstance(header, dict) or "format" not in header:

@@ -309,6 +309,17 @@ def test_code_in_a_file_is_never_run(path, tmp_path, member):
     assert member in error_message(bad)
 
 
+def test_a_field_that_compresses_well_can_be_read_again(tmp_path, monkeypatch):
+    monkeypatch.setattr(archive, "_HARMLESS", 2**16)
+    moved = dataclasses.replace(
+        random_solution((300, 300)),
+        displacement=np.zeros((300, 300, 2), np.float32),
+        tissue=np.ones((300, 300), bool),
+    )
+    path = moved.write(tmp_path / "a.npz")
+    np.testing.assert_array_equal(Solution.read(path).displacement, moved.displacement)
+
+
 def test_a_zip_bomb_costs_no_memory(path, tmp_path, monkeypatch):
     monkeypatch.setattr(archive, "_HARMLESS", 2**20)
     rows = 1_000
