@@ -222,13 +222,6 @@ def test_held_patches_with_too_few_or_too_many_displacements_are_refused(size, t
         read_study(with_members(path, tmp_path / "bad.study", **motion))
 
 
-def test_a_long_drawing_is_saved(tmp_path):
-    points = tuple(map(tuple, np.random.default_rng(0).uniform(0, 20, (90_000, 2)).tolist()))
-    study = Study(GRID, motion=Motion(drawing=Drawing((Stroke("pin", (points,), 1.0),))))
-    path = write_study(tmp_path / "long", study)
-    assert read_study(path).study.motion.drawing == study.motion.drawing
-
-
 def test_a_study_saved_without_its_image_accepts_only_that_image(tmp_path):
     study = by_curve()
     path = write_study(tmp_path / "case", study, solve_study(study, backend="cpu"), image=False)
