@@ -225,12 +225,13 @@ def convert(kind: Any, value: Any, name: str = "") -> Any:
         If the value is invalid; the message begins with the name.
     """
     try:
-        return _adapter(kind).validate_python(value)
+        return adapter_of(kind).validate_python(value)
     except pydantic.ValidationError as error:
         raise ArgumentError(f"{name} {explain(error)}".lstrip()) from None
 
 
-_adapter = functools.cache(pydantic.TypeAdapter)
+#: Validator of a type, which takes about a millisecond to make.
+adapter_of = functools.cache(pydantic.TypeAdapter)
 
 
 def explain(error: pydantic.ValidationError, names: Sequence[str] = ()) -> str:

@@ -192,10 +192,9 @@ def write_field_file(
     """
     name, d = Path(path).name, field.displacement
     residual = write_field(path, d, **field.geometry.as_itk, tissue=field.tissue, forward=forward)
-    if forward:
-        place_note = _note_on_place(field)
-        return f"Saved {name}: the forward field, which moves points.{place_note}"
     place_note = _note_on_place(field)
+    if forward:
+        return f"Saved {name}: the forward field, which moves points.{place_note}"
     sentence = (
         f"Saved {name}: the backward field, which moves images. Accuracy of the inverse: "
         f"{residual:.2g} px at the centres of the pixels that tissue moved to; between pixels and "

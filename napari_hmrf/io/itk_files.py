@@ -60,7 +60,7 @@ def itk_shape(source: Path) -> tuple[int, ...]:
     Raises
     ------
     Unreadable, HmrfError, OSError
-        As for `read_decoded`.
+        As for `read_itk_image`.
     """
     return _head(source)[0]
 
@@ -71,7 +71,7 @@ def read_itk_series(folder: Path) -> Decoded:
     Raises
     ------
     Unreadable
-        As for `read_decoded`; or if the folder does not contain exactly one series.
+        As for `read_itk_image`; or if the folder does not contain exactly one series.
     HmrfError
         If SimpleITK is not installed.
     """
@@ -84,9 +84,9 @@ def read_itk_vectors(source: Path) -> Decoded:
     Raises
     ------
     Unreadable
-        As for `read_decoded`; or if the numbers of a text file do not match its header.
+        As for `read_itk_image`; or if the numbers of a text file do not match its header.
     HmrfError, OSError
-        As for `read_decoded`.
+        As for `read_itk_image`.
     """
     if source.suffix.lower() not in _TRANSFORMS:
         return read_itk_image(source)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping
+from functools import cache
 from types import NoneType
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
-from pydantic import BeforeValidator, Field, PlainValidator, TypeAdapter, ValidationError
+from pydantic import BeforeValidator, Field, PlainValidator, ValidationError
 
 from napari_hmrf.arguments import did_you_mean, shown
 from napari_hmrf.checks import Budget as Budget
@@ -16,17 +17,12 @@ from napari_hmrf.checks import Number as Number
 from napari_hmrf.checks import PerAxis as PerAxis
 from napari_hmrf.checks import Poisson as Poisson
 from napari_hmrf.checks import Positive as Positive
-from napari_hmrf.checks import Words
+from napari_hmrf.checks import Words, adapter_of
 from napari_hmrf.errors import ArgumentError
 from napari_hmrf.field.units import UNKNOWN_UNITS, is_length
 from napari_hmrf.io.images import length_unit
 from napari_hmrf.solver.model_names import as_word
 from napari_hmrf.tissue.cavity import Cavity
-
-
-def _parts(mark: str) -> BeforeValidator:
-    """Split text at a mark; other values are not changed."""
-    return BeforeValidator(lambda text: text.split(mark) if isinstance(text, str) else text)
 
 
 def _lengths(text: str) -> float | tuple[float, float]:
@@ -84,8 +80,13 @@ def values_of(
     ArgumentError
         If a text is invalid; the message names the field and describes valid text.
     """
-    types = get_type_hints(kind, localns=globals(), include_extras=True)
+    types = _types_of(kind)
     return {name: _value_of(types[name], text, title(name)) for name, text in texts.items()}
+
+
+@cache
+def _types_of(kind: type) -> dict[str, Any]:
+    return get_type_hints(kind, localns=globals(), include_extras=True)
 
 
 def words_of(kind: Any) -> dict[str, str]:
@@ -106,7 +107,7 @@ def _value_of(kind: Any, text: Any, title: str) -> Any:
             )
         return words[word]
     try:
-        return TypeAdapter(kind).validate_python(text)
+        return adapter_of(kind).validate_python(text)
     except ValidationError as error:
         right = error.errors(include_url=False)[0]["msg"]
         raise ArgumentError(f"{title} is {shown(text)}. Give {right}.") from None
