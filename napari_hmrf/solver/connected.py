@@ -21,8 +21,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver import followers
-from napari_hmrf.solver.backends import volume_caches
 from napari_hmrf.solver.followers import Followers, around, find_followers, followers_of, remembered
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.neighbours import in_elements
@@ -32,8 +30,6 @@ from napari_hmrf.solver.problem import Problem, variant_of
 
 Mask = npt.NDArray[np.bool_]
 Indices = npt.NDArray[np.intp]
-
-volume_caches.register(followers.forget)
 
 
 class Connected(NamedTuple):

@@ -27,6 +27,7 @@ from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.precision import are_equal
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.uncertain_landmarks import corner_shares, corners_of
+from napari_hmrf.solver.workspace import Kept
 
 Float64Array = npt.NDArray[np.float64]
 Planes = npt.NDArray[np.float64]
@@ -250,12 +251,13 @@ class DataTerm(NamedTuple):
 
 
 # Weak references to the last precision and to its weights, with the unit.
-_last: list[tuple[weakref.ref[Any], weakref.ref[Any], float]] = []
+_packed: Kept[tuple[weakref.ref[Any], weakref.ref[Any], float]] = Kept()
 
 
 def _weights_of(precision: Float64Array, unit: float) -> Planes:
     """Return a precision as packed planes; those of the same array are computed only once."""
-    for known, made, its_unit in _last:
+    if _packed.value is not None:
+        known, made, its_unit = _packed.value
         weights: Planes | None = made()
         if known() is precision and its_unit == unit and weights is not None:
             return weights
@@ -265,7 +267,7 @@ def _weights_of(precision: Float64Array, unit: float) -> Planes:
     for sites, planes in _blocks(grid):
         for plane, (i, j) in zip(weights, pairs, strict=True):
             np.divide(precision[sites][..., i, j], unit, out=plane[planes])
-    _last[:] = [(weakref.ref(precision), weakref.ref(weights), unit)]
+    _packed.value = weakref.ref(precision), weakref.ref(weights), unit
     return weights
 
 

@@ -26,8 +26,6 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.backends import volume_caches
-from napari_hmrf.solver.backends.thread import in_child_of_fork
 from napari_hmrf.solver.connected import connected
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.optimizers import Monitor, Multigrid, Optimizer
@@ -39,6 +37,7 @@ from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.uncertain_landmarks import interpolated
 from napari_hmrf.solver.volume_memory import check_memory
 from napari_hmrf.solver.warm_start import Initial
+from napari_hmrf.solver.workspace import Kept
 
 Float64Array = npt.NDArray[np.float64]
 Progress = Callable[[Monitor], None]
@@ -130,12 +129,12 @@ def solve_with_drift(
     begun = time.perf_counter()
     joined = connected(problem, prior)
     plain = without_drift(joined.without_orphans)
-    found = _last[0] if _last and _last[0].covers(problem, prior, optimizer) else None
+    found = _responses.valid(lambda last: last.covers(problem, prior, optimizer))
     solves = 1 if found is not None else 1 + len(_unit_strains(len(problem.shape)))
     # The responses come first, so that the field without drift does not depend on whether they
     # are cached: solves of the same tissue share what they find about their convergence.
     cached = found or _Responses.of(plain, prior, optimizer, progress, solves, solve)
-    _last[:] = [cached]
+    _responses.value = cached
     if initial is not None:
         initial = cached.latest or initial
     base = solve(plain, _tighter(optimizer, _SHARE), initial, _part(progress, solves - 1, solves))
@@ -304,10 +303,7 @@ class _Responses:
         return total
 
 
-# Responses of the latest problem; used on the compute thread only.
-_last: list[_Responses] = []
-in_child_of_fork(_last.clear)
-volume_caches.register(_last.clear)
+_responses: Kept[_Responses] = Kept(is_large=True)
 
 
 def _unit_strains(axes: int) -> list[Float64Array]:

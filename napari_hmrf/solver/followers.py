@@ -37,6 +37,7 @@ import numpy.typing as npt
 import scipy
 
 from napari_hmrf.solver.neighbours import around_sites, in_elements, of_corners
+from napari_hmrf.solver.workspace import Kept
 
 Mask = npt.NDArray[np.bool_]
 Float64Array = npt.NDArray[np.float64]
@@ -136,13 +137,8 @@ def _frozen(mask: npt.NDArray[Any] | None) -> npt.NDArray[Any] | None:
     return mask.copy() if mask is not None and mask.flags.writeable else mask
 
 
-# Latest results, of which the newest is the first. Each frame of a drag needs them.
-_latest: list[_Known] = []
-
-
-def forget() -> None:
-    """Clear the cache, whose masks are as large as the image."""
-    _latest.clear()
+# Latest results, of which the newest is the first. Each frame of a drag needs them, on any thread.
+_latest: Kept[tuple[_Known, ...]] = Kept(is_large=True)
 
 
 def remembered(
@@ -157,12 +153,13 @@ def remembered(
     masks : sequence of ndarray or None
     find : callable
     """
-    latest = tuple(_latest)  # another thread may add a result
+    latest = _latest.value or ()
     for each in latest:
         if each.is_for(kind, masks):
             return each.found
     found = find()
-    _latest[:] = [_Known(kind, tuple(map(_frozen, masks)), found), *latest[: _MOST - 1]]
+    newest = _Known(kind, tuple(map(_frozen, masks)), found)
+    _latest.value = (newest, *latest[: _MOST - 1])
     return found
 
 

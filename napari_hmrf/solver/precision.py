@@ -12,15 +12,16 @@ import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.real_arrays import as_numbers, check_finite, first_index
+from napari_hmrf.solver.workspace import Kept
 
 Float64Array = npt.NDArray[np.float64]
 
 #: Largest precision, in the unit of stiffness times length^(n - 2) of a pixel, relative to the
 #: stiffest tissue. An observation that is more certain should be prescribed.
 MAX_PRECISION = 1e6
-# Weak reference to the last tensors. Later problems with equal tensors use the same array, so that
+# Last tensors, on any thread. Later problems with equal tensors use the same array, so that
 # comparisons by identity usually suffice.
-_last: list[weakref.ref[Any]] = []
+_tensors: Kept[weakref.ref[Any]] = Kept()
 # Number of sites that are checked at once, so that temporary arrays stay in the cache.
 _BLOCK_SIZE = 16384
 # Largest asymmetry, and largest negative minor, relative to the largest component of the tensor.
@@ -53,7 +54,8 @@ def checked_precision(
         semidefinite.
     """
     numbers = as_numbers("precision", precision)
-    last = _last[0]() if _last else None
+    kept = _tensors.value
+    last = None if kept is None else kept()
     if last is not None and are_equal(last, numbers) and not last[~tissue].any():
         known: Float64Array = last  # checked already
         return known
@@ -82,7 +84,7 @@ def checked_precision(
     if last is not None and are_equal(last, tensor):
         return np.asarray(last)
     tensor.setflags(write=False)
-    _last[:] = [weakref.ref(tensor)]
+    _tensors.value = weakref.ref(tensor)
     return tensor
 
 

@@ -23,6 +23,7 @@ from napari_hmrf.solver.neighbours import around_sites, in_elements
 from napari_hmrf.solver.precision import are_equal
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.uncertain_landmarks import Landmarks, corners_of
+from napari_hmrf.solver.workspace import Kept
 
 # Largest strength of a constraint, relative to the strongest one, that counts as rounding error.
 _ROUNDING = 1e-9
@@ -80,8 +81,7 @@ class HeldTissue(NamedTuple):
         return np.array_equal(self.tissue, tissue) and not (self.held > held).any()
 
 
-# Result of the last check.
-_firm: list[HeldTissue] = []
+_firm: Kept[HeldTissue] = Kept()
 # Number of data that are checked first. If they hold the tissue, so do all data.
 _FEW_DATA = 10_000
 
@@ -136,9 +136,10 @@ def holding_strength(problem: Problem) -> float:
     if problem.coupling is not None:
         return 1.0  # `sliding_solve` has checked all parts together
     held = problem.known
-    for firm in _firm:  # checked first, because every frame of a drag needs the result
-        if firm.covers_problem(problem):
-            return firm.strength
+    # The last check comes first, because every frame of a drag needs the result.
+    firm = _firm.valid(lambda last: last.covers_problem(problem))
+    if firm is not None:
+        return firm.strength
     if held[problem.tissue].all():
         return 1.0  # no site is free to move
     pieces, count = _some_pieces(problem)
@@ -154,7 +155,7 @@ def holding_strength(problem: Problem) -> float:
     if problem.precision is not None:
         value *= _mean_grip(problem)
     data = problem.precision, problem.landmarks
-    _firm[:] = [HeldTissue(problem.tissue, held, value, *data)]
+    _firm.value = HeldTissue(problem.tissue, held, value, *data)
     return value
 
 

@@ -13,7 +13,6 @@ import numpy.typing as npt
 import scipy
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.backends.thread import in_child_of_fork
 from napari_hmrf.solver.elasticity import Elasticity
 from napari_hmrf.solver.neighbours import around_sites, in_elements
 from napari_hmrf.solver.optimizers import Multigrid, Optimizer
@@ -22,6 +21,7 @@ from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.unfolded import UnfoldedProblem, unfolded
 from napari_hmrf.solver.warm_start import Initial
+from napari_hmrf.solver.workspace import Kept
 
 Float64Array = npt.NDArray[np.float64]
 #: Function that solves an unfolded problem with a prior, from a warm start.
@@ -49,8 +49,7 @@ _TINY = 1e-9
 # Largest number of rigid motions that are compared together.
 _MOST = 3000
 # Latest solution: of the problem, and of the unfolded problem, for a warm start.
-_last: list[tuple[Solution, Solution]] = []
-in_child_of_fork(_last.clear)
+_solutions: Kept[tuple[Solution, Solution]] = Kept(is_large=True)
 
 
 def solve_with_sliding(
@@ -116,7 +115,7 @@ def solve_with_sliding(
         provenance=replace(found.provenance, inputs=problem.digests),
         parts=sliding.labels,
     )
-    _last[:] = [(solution, found)]
+    _solutions.value = solution, found
     return solution
 
 
@@ -143,10 +142,10 @@ def _check_support(problem: Problem, prior: Prior, optimizer: Optimizer) -> None
 
 def _start(initial: Initial | None, parts: UnfoldedProblem) -> Solution | None:
     """Return the solution of the unfolded problem that belongs to a warm start, or None."""
-    if initial is None or not _last:
+    if initial is None or _solutions.value is None:
         return None
     given = (initial,) if isinstance(initial, Solution) else tuple(initial)
-    folded, found = _last[0]
+    folded, found = _solutions.value
     known = any(each.displacement is folded.displacement for each in given)
     return found if known and found.tissue.shape == parts.shape else None
 

@@ -16,6 +16,7 @@ import scipy
 from napari_hmrf.notes import Note
 from napari_hmrf.solver.followers import followers_of
 from napari_hmrf.solver.rigid_modes import HeldTissue, free_pieces
+from napari_hmrf.solver.workspace import Kept
 
 #: Smallest size of an observed piece that is never excluded, as a fraction of all tissue.
 _LARGE_PIECE = 0.01
@@ -41,8 +42,8 @@ class _Search(NamedTuple):
         return not (self.pieces.any() and (held > self.constraints.held)[self.pieces].any())
 
 
-# Last search, cached because a search takes as long as a few cycles.
-_last_search: list[_Search] = []
+# A search takes as long as a few cycles.
+_search: Kept[_Search] = Kept()
 
 
 def scraps(tissue: npt.NDArray[np.bool_], held: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
@@ -65,13 +66,13 @@ def scraps(tissue: npt.NDArray[np.bool_], held: npt.NDArray[np.bool_]) -> npt.ND
         Mask of the loose pieces; read-only.
     """
     held = _with_held_followers(tissue, held)
-    for search in _last_search:
-        if search.is_valid_for(tissue, held):
-            return search.pieces
-    pieces, is_rest_held = _scraps(tissue, held)
-    pieces.setflags(write=False)
-    _last_search[:] = [_Search(HeldTissue(tissue.copy(), held.copy()), pieces, is_rest_held)]
-    return pieces
+
+    def search() -> _Search:
+        pieces, is_rest_held = _scraps(tissue, held)
+        pieces.setflags(write=False)
+        return _Search(HeldTissue(tissue.copy(), held.copy()), pieces, is_rest_held)
+
+    return _search.get(lambda last: last.is_valid_for(tissue, held), search).pieces
 
 
 def _with_held_followers(

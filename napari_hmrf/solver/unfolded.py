@@ -12,14 +12,14 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from napari_hmrf.solver.backends import volume_caches
-from napari_hmrf.solver.backends.thread import compute_thread, in_child_of_fork
+from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.coupling import Box, Coupling, Index
 from napari_hmrf.solver.interface_normals import interface_normals
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.neighbours import around_sites, in_elements, of_corners
 from napari_hmrf.solver.priors.elastic import ElasticPrior
 from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.workspace import Kept
 
 Mask = npt.NDArray[np.bool_]
 Values = npt.NDArray[Any]
@@ -73,7 +73,9 @@ def unfolded(problem: Problem, prior: ElasticPrior) -> tuple[UnfoldedProblem, El
     prior : ElasticPrior
     """
     m = problem.stiffness
-    parts, between = _layout(problem)
+    _, parts, between = _layout.get(
+        lambda last: last.is_valid_for(problem), lambda: _layout_of(problem)
+    )
     boxes, grid = between.boxes, between.own.shape
 
     def of_own(values: Values) -> Values:
@@ -141,26 +143,19 @@ class _Layout(NamedTuple):
         )
 
 
-# Layout of the last problem; used on the compute thread only.
-_last: list[_Layout] = []
-in_child_of_fork(_last.clear)
-volume_caches.register(_last.clear)
+_layout: Kept[_Layout] = Kept(is_large=True)
 
 
-def _layout(problem: Problem) -> tuple[list[_Part], Coupling]:
-    """Return the parts and their coupling, from the cache if possible."""
-    if not _last or not _last[0].is_valid_for(problem):
-        _last[:] = ()
-        numbers = _numbers(problem)
-        parts = list(_parts(numbers, problem.stiffness))
-        boxes = _boxes(parts)
-        ends = np.array([[side.stop for side in box.unfolded] for box in boxes])
-        own = np.zeros(tuple(map(int, ends.max(axis=0))), np.bool_)
-        for part, box in zip(parts, boxes, strict=True):
-            own[box.unfolded] = part.own
-        between = _coupling(problem, numbers, parts, boxes, own)
-        _last.append(_Layout(problem, parts, between))
-    return _last[0].parts, _last[0].between
+def _layout_of(problem: Problem) -> _Layout:
+    """Return the parts and their coupling."""
+    numbers = _numbers(problem)
+    parts = list(_parts(numbers, problem.stiffness))
+    boxes = _boxes(parts)
+    ends = np.array([[side.stop for side in box.unfolded] for box in boxes])
+    own = np.zeros(tuple(map(int, ends.max(axis=0))), np.bool_)
+    for part, box in zip(parts, boxes, strict=True):
+        own[box.unfolded] = part.own
+    return _Layout(problem, parts, _coupling(problem, numbers, parts, boxes, own))
 
 
 def _numbers(problem: Problem) -> npt.NDArray[np.intp]:

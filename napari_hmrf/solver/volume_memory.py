@@ -9,8 +9,8 @@ from collections.abc import Callable
 import psutil
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.backends import volume_caches
 from napari_hmrf.solver.problem import Problem, grid_in_words
+from napari_hmrf.solver.workspace import clear_large
 
 if sys.platform != "win32":
     import resource
@@ -79,7 +79,7 @@ def _require(
     needed = bytes_per_voxel * math.prod(shape)
     if len(shape) != 3 or needed <= _FREE * free():
         return
-    volume_caches.clear_all()
+    clear_large()
     allowed = _FREE * free()
     if needed <= allowed:
         return
@@ -105,7 +105,7 @@ def make_room(shape: tuple[int, ...], bytes_per_voxel: float) -> None:
         Bytes that the work needs.
     """
     if len(shape) == 3 and not fits(shape, bytes_per_voxel):
-        volume_caches.clear_all()
+        clear_large()
 
 
 def fits(shape: tuple[int, ...], bytes_a_voxel: float) -> bool:

@@ -179,7 +179,7 @@ def test_deleted_solutions_are_removed_from_the_cache():
 def last_model():
     from napari_hmrf.solver.backends.cpu import elastic_model
 
-    return elastic_model._last[0]
+    return elastic_model._model.value
 
 
 def test_a_solution_without_cycles_can_be_saved_and_read(tmp_path):

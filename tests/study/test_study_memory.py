@@ -59,7 +59,7 @@ def test_the_memory_of_the_study_before_counts_as_free(monkeypatch):
 
 def test_caches_of_a_solve_make_room_for_the_moved_image(monkeypatch):
     cleared = []
-    monkeypatch.setattr(volume_memory.volume_caches, "clear_all", lambda: cleared.append(1))
+    monkeypatch.setattr(volume_memory, "clear_large", lambda: cleared.append(1))
     make_room((10, 10, 10), WARP)
     assert not cleared
     make_room(HUGE, WARP)

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.solver.workspace import Kept
+
 if TYPE_CHECKING:
     from napari_hmrf.solver.backends.direct.factors import Factors
     from napari_hmrf.solver.backends.rigid.deflation import Deflation
@@ -35,8 +37,8 @@ class StartQuality(NamedTuple):
     error: float
 
 
-# Displacements with their properties; used on the compute thread only.
-_start_qualities: list[tuple[weakref.ref[Any], StartQuality]] = []
+# Displacements with their properties.
+_start_qualities: Kept[list[tuple[weakref.ref[Any], StartQuality]]] = Kept()
 
 
 def remember(displacement: npt.NDArray[Any], quality: StartQuality) -> None:
@@ -49,8 +51,8 @@ def remember(displacement: npt.NDArray[Any], quality: StartQuality) -> None:
     quality : StartQuality
         Properties found by the solve of this displacement.
     """
-    _start_qualities[:] = [each for each in _start_qualities if each[0]() is not None]
-    _start_qualities.append((weakref.ref(displacement), quality))
+    living = [each for each in _start_qualities.value or [] if each[0]() is not None]
+    _start_qualities.value = [*living, (weakref.ref(displacement), quality)]
 
 
 def start_quality_of(start: WarmStart) -> StartQuality:
@@ -70,7 +72,7 @@ def start_quality_of(start: WarmStart) -> StartQuality:
     """
     least, error = 1.0, 0.0
     for share, part in zip(start.shares, start.displacements, strict=True):
-        for known, met in _start_qualities:
+        for known, met in _start_qualities.value or []:
             if known() is part:
                 least, error = min(least, met.least), error + abs(share) * met.error
     return StartQuality(least, error)

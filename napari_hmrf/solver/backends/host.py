@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends import volume_caches
 from napari_hmrf.solver.backends.arrays import exact as plain
 from napari_hmrf.solver.backends.base import FloatArray
 from napari_hmrf.solver.backends.compile_cache import loops
@@ -22,15 +21,14 @@ from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
 from napari_hmrf.solver.backends.planes import field as field
 from napari_hmrf.solver.backends.planes import inside as inside
 from napari_hmrf.solver.backends.planes import planes as planes
-from napari_hmrf.solver.backends.thread import compute_thread, in_child_of_fork
+from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.solver.workspace import Kept
 
 if TYPE_CHECKING:
     from napari_hmrf.solver.problem import Problem
 
 _TINY = 1e-300
-_spare: list[tuple[Planes, HeldPlanes]] = []
-in_child_of_fork(_spare.clear)
-volume_caches.register(_spare.clear)
+_spare: Kept[tuple[Planes, HeldPlanes]] = Kept()
 
 
 def _exact(axes: int = 2) -> Any:
@@ -61,11 +59,11 @@ def prescribed(problem: Problem, start: WarmStart | None = None) -> tuple[Planes
     exact, axes = _exact(len(problem.shape)), len(problem.shape)
 
     shape = (axes, *(size + 4 for size in problem.shape))
-    if _spare and _spare[0][0].shape == shape:
-        d, held = _spare.pop()
-    else:
-        _spare.clear()
-        d, held = np.zeros(shape), np.zeros(shape, dtype=np.bool_)
+    d, held = _spare.get(
+        lambda arrays: arrays[0].shape == shape,
+        lambda: (np.zeros(shape), np.zeros(shape, dtype=np.bool_)),
+    )
+    _spare.clear()  # until `reuse`
     given = [] if start is None else start.weighted
     terms = [(loops.only_read(values), weight) for values, weight in given]
     # The loops add exactly two terms, so a missing term gets the weight 0.
@@ -109,7 +107,7 @@ def reuse(d: Planes, held: HeldPlanes) -> None:
     Arrays of volumes are not stored, because memory limits the size of volumes. Must be called on
     the compute thread.
     """
-    _spare[:] = [(d, held)] if d.ndim == 3 else []
+    _spare.value = (d, held) if d.ndim == 3 else None
 
 
 def noise(shape: tuple[int, ...]) -> Planes:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import atexit
 import logging
-import os
 import queue
 import sys
 import threading
@@ -20,6 +19,7 @@ from contextlib import contextmanager
 from typing import Any, TypeVar
 
 from napari_hmrf.errors import BackendError, Cancelled
+from napari_hmrf.solver.workspace import in_child_of_fork
 
 T = TypeVar("T")
 _log = logging.getLogger("napari_hmrf")
@@ -222,12 +222,6 @@ class ComputeThread:
                     _log.exception("releasing a device failed")
             self._thread = None
             return True
-
-
-def in_child_of_fork(forget: Callable[[], object]) -> None:
-    """Register a callback that runs in every child of a fork, where other threads do not exist."""
-    if hasattr(os, "register_at_fork"):
-        os.register_at_fork(after_in_child=forget)
 
 
 def _launch_numbas_threads() -> None:

@@ -18,6 +18,7 @@ from napari_hmrf.solver.loads import are_same
 from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
 from napari_hmrf.solver.problem import MAX_REACH, Problem
 from napari_hmrf.solver.rigid_modes import free_motions
+from napari_hmrf.solver.workspace import Kept
 
 # Fraction of the sum of all forces up to which a force is rounding error.
 _ROUNDING = 1e-9
@@ -52,7 +53,7 @@ class _LastLoads(NamedTuple):
 
 
 # Loads of the last image, which do not change while the user drags tissue.
-_last: list[_LastLoads] = []
+_loads: Kept[_LastLoads] = Kept()
 
 
 def load_forces(problem: Problem, prior: Prior) -> LoadForces:
@@ -65,13 +66,14 @@ def load_forces(problem: Problem, prior: Prior) -> LoadForces:
     """
     if isinstance(prior, SeilerPrior) or problem.loads is None:
         return LoadForces(None, 0.0)
-    if _last and _last[0].are_valid_for(problem, prior):
-        return _last[0].forces
+    last = _loads.valid(lambda last: last.are_valid_for(problem, prior))
+    if last is not None:
+        return last.forces
     load = prior.load(problem)
     if load is None:
         return LoadForces(None, 0.0)
     loads = LoadForces(host.planes(load.forces), load.energy)
-    _last[:] = [] if problem.is_volume else [_LastLoads(problem, prior, loads)]
+    _loads.value = None if problem.is_volume else _LastLoads(problem, prior, loads)
     return loads
 
 

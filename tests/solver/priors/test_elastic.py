@@ -67,10 +67,10 @@ def test_forces_are_the_gradient_of_the_energy(plane, spacing):
 )
 def test_the_number_of_threads_does_not_change_the_field(count, monkeypatch):
     problem = random_problem((123, 96), has_hole=True, ratio=1e3)
-    monkeypatch.setattr(elastic_model, "_last", [])
+    elastic_model._model.clear()
     monkeypatch.setattr(forces, "parts", lambda height: 1)
     alone = solve(problem, ElasticPrior(), backend="cpu")
-    monkeypatch.setattr(elastic_model, "_last", [])
+    elastic_model._model.clear()
     monkeypatch.setattr(forces, "parts", lambda height: min(count, height))
     shared = solve(problem, ElasticPrior(), backend="cpu")
     assert shared.iterations > 1

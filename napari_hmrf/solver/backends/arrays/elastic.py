@@ -9,7 +9,6 @@ from napari_hmrf.solver.backends.arrays.level import ArrayLevel, Vector
 from napari_hmrf.solver.backends.arrays.model import ArrayModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes
 from napari_hmrf.solver.backends.rigid.bodies import Bodies, bodies_of
-from napari_hmrf.solver.backends.thread import in_child_of_fork
 from napari_hmrf.solver.coarse_levels import grids, smoother_bounds
 from napari_hmrf.solver.priors.elements import (
     CYCLE_STAND_IN,
@@ -19,6 +18,7 @@ from napari_hmrf.solver.priors.elements import (
     element_forces,
     lame_parameters,
 )
+from napari_hmrf.solver.workspace import Kept
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -96,7 +96,7 @@ class ArrayElasticModel(ArrayModel):
 
     def clear_cache(self) -> None:
         """Clear the model cache."""
-        _last[:] = ()
+        _model.clear()
 
 
 def diagonal(lame: Float64Array, shape: ElementShape) -> Float64Array:
@@ -121,12 +121,9 @@ def _coarser(fine: Float64Array, grid: tuple[int, ...]) -> Float64Array:
     return made
 
 
-_last: list[ArrayElasticModel] = []
-in_child_of_fork(_last.clear)
+_model: Kept[ArrayElasticModel] = Kept()
 
 
 def the_model(material: ElasticMaterial) -> ArrayElasticModel:
-    """Return the model of a material, using a single-entry cache."""
-    if not _last or _last[0].material != material:
-        _last[:] = (ArrayElasticModel(material),)
-    return _last[0]
+    """Return the model of a material, reusing the last one if possible."""
+    return _model.get(lambda last: last.material == material, lambda: ArrayElasticModel(material))

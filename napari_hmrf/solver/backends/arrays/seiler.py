@@ -14,9 +14,9 @@ import numpy.typing as npt
 from napari_hmrf.solver.backends.arrays.level import ArrayLevel, Real, Vector, restricted
 from napari_hmrf.solver.backends.arrays.model import ArrayModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes
-from napari_hmrf.solver.backends.thread import in_child_of_fork
 from napari_hmrf.solver.coarse_levels import grids
 from napari_hmrf.solver.priors.cliques import SeilerMaterial, cliques
+from napari_hmrf.solver.workspace import Kept
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -132,7 +132,7 @@ class ArraySeilerModel(ArrayModel):
 
     def clear_cache(self) -> None:
         """Clear the model cache."""
-        _last[:] = ()
+        _model.clear()
 
 
 def _coarser(fine: Float64Array, grid: tuple[int, ...]) -> tuple[Float64Array, Float64Array]:
@@ -147,12 +147,9 @@ def _coarser(fine: Float64Array, grid: tuple[int, ...]) -> tuple[Float64Array, F
     return made[:2], made[2]
 
 
-_last: list[ArraySeilerModel] = []
-in_child_of_fork(_last.clear)
+_model: Kept[ArraySeilerModel] = Kept()
 
 
 def the_model(material: SeilerMaterial) -> ArraySeilerModel:
-    """Return the model of a material, using a single-entry cache."""
-    if not _last or _last[0].material != material:
-        _last[:] = (ArraySeilerModel(material),)
-    return _last[0]
+    """Return the model of a material, reusing the last one if possible."""
+    return _model.get(lambda last: last.material == material, lambda: ArraySeilerModel(material))

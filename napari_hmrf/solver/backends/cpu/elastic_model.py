@@ -29,7 +29,6 @@ from napari_hmrf.solver.backends.host_model import HostModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.solver.backends.rigid.bodies import Bodies, BodySites, bodies_of, can_deflate
 from napari_hmrf.solver.backends.rigid.deflation import Deflation
-from napari_hmrf.solver.backends.thread import in_child_of_fork
 from napari_hmrf.solver.coarse_levels import grids, smoother_bounds
 from napari_hmrf.solver.priors.elements import (
     CYCLE_STAND_IN,
@@ -37,6 +36,7 @@ from napari_hmrf.solver.priors.elements import (
     ElasticMaterial,
     stiffest,
 )
+from napari_hmrf.solver.workspace import Kept
 
 # Coefficients (scale, ahead, back) of a Chebyshev step that changes nothing.
 _NO_STEP = np.zeros(3, dtype=np.float32)
@@ -404,23 +404,22 @@ class CpuElasticModel(HostModel):
         return out
 
     def clear_cache(self) -> None:
-        """Clear the model cache, because vectors of the model may contain non-finite values."""
-        _last[:] = ()
+        """Forget the model, because vectors of the model may contain non-finite values."""
+        _model.clear()
 
 
-_last: list[CpuElasticModel] = []
-in_child_of_fork(_last.clear)  # the fork may have interrupted a solve that uses the model
+_model: Kept[CpuElasticModel] = Kept()
 
 
 def the_model(material: ElasticMaterial, whole: bool = True) -> CpuElasticModel:
-    """Return the model of a material, reusing the cached model if possible.
+    """Return the model of a material, reusing the last model if possible.
 
     Building a model takes as long as a few cycles, and users edit observations more often than
     tissue. Call this function only on the compute thread, because all solves share the model.
     """
-    if not _last or not _last[0].fits(material, whole):
-        _last[:] = ()  # free the old model before the new one is allocated
-        _last.append(CpuElasticModel(material, whole))
-    elif _last[0].material != material:
-        _last[0].assemble(material)
-    return _last[0]
+    model = _model.get(
+        lambda last: last.fits(material, whole), lambda: CpuElasticModel(material, whole)
+    )
+    if model.material != material:
+        model.assemble(material)
+    return model

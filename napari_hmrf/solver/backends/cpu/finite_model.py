@@ -19,7 +19,6 @@ from napari_hmrf.solver.backends.cpu.level import Vector, paces_of
 from napari_hmrf.solver.backends.cpu.small_levels import SmallLevel, SmallLevels, divided
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.solver.backends.rigid.bodies import Bodies, rigid_elements
-from napari_hmrf.solver.backends.thread import in_child_of_fork
 from napari_hmrf.solver.coarse_levels import grids
 from napari_hmrf.solver.priors.elements import CYCLE_STAND_IN, lame_parameters
 from napari_hmrf.solver.priors.finite_strain import (
@@ -28,6 +27,7 @@ from napari_hmrf.solver.priors.finite_strain import (
     FiniteMaterial,
     moduli_of,
 )
+from napari_hmrf.solver.workspace import Kept
 
 # Numbers per element: tangent for cycles with its damping, full tangent, and elastic parameters
 # (`finite_strain`).
@@ -291,14 +291,12 @@ _SIGNS = np.array([[-1, -1, 1, 1], [-1, 1, -1, 1], [1, -1, -1, 1]], dtype=np.flo
 _DIFFERENCES = np.kron(_SIGNS, np.eye(2))
 
 
-_last: list[CpuFiniteModel] = []
-in_child_of_fork(_last.clear)
+_model: Kept[CpuFiniteModel] = Kept()
 
 
 def the_model(material: FiniteMaterial) -> CpuFiniteModel:
-    """Return the model of a material, reusing the memory of the last model on the same grid."""
-    if not _last or _last[0].shape != material.m.shape:
-        _last[:] = ()  # free the old model before the new one is allocated
-        _last.append(CpuFiniteModel(tuple(material.m.shape)))
-    _last[0].assemble(material)
-    return _last[0]
+    """Return the model of a material, in the memory of the last model if the grid is the same."""
+    grid = tuple(material.m.shape)
+    model = _model.get(lambda last: last.shape == grid, lambda: CpuFiniteModel(grid))
+    model.assemble(material)
+    return model

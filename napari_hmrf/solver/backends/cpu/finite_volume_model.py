@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends import volume_caches
 from napari_hmrf.solver.backends.cpu import (
     bernstein,
     brick_tangents,
@@ -25,11 +24,12 @@ from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
 from napari_hmrf.solver.backends.cpu.volume_model import VolumeLevel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.solver.backends.rigid.bodies import Bodies
-from napari_hmrf.solver.backends.thread import compute_thread, in_child_of_fork
+from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.coarse_levels import grids
 from napari_hmrf.solver.priors.elements import CYCLE_STAND_IN, lame_ratio
 from napari_hmrf.solver.priors.finite_bricks import brick_moduli
 from napari_hmrf.solver.priors.finite_strain import BARRIER, BARRIER_BEGIN, FiniteMaterial
+from napari_hmrf.solver.workspace import Kept
 
 # Index of the elements in padded arrays.
 _ELEMENTS = (slice(PAD, -PAD - 1),) * 3
@@ -318,15 +318,12 @@ class BrickMatrices:
         return (((0, 1, 2), lambda *elements: self._matrices[elements]),)
 
 
-_last: list[CpuFiniteVolumeModel] = []
-in_child_of_fork(_last.clear)
-volume_caches.register(_last.clear)
+_model: Kept[CpuFiniteVolumeModel] = Kept(is_large=True)
 
 
 def the_model(material: FiniteMaterial) -> CpuFiniteVolumeModel:
     """Return the model of a material, in the memory of the last model if the grid is the same."""
-    if not _last or _last[0].shape != material.m.shape:
-        _last[:] = ()  # free the old model before the new one is allocated
-        _last.append(CpuFiniteVolumeModel(tuple(material.m.shape)))
-    _last[0].assemble(material)
-    return _last[0]
+    grid = tuple(material.m.shape)
+    model = _model.get(lambda last: last.shape == grid, lambda: CpuFiniteVolumeModel(grid))
+    model.assemble(material)
+    return model

@@ -15,9 +15,9 @@ from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
 from napari_hmrf.solver.backends.host_model import HostModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.solver.backends.planes import inside
-from napari_hmrf.solver.backends.thread import in_child_of_fork
 from napari_hmrf.solver.coarse_levels import grids
 from napari_hmrf.solver.priors.cliques import SeilerMaterial
+from napari_hmrf.solver.workspace import Kept
 
 Lines = npt.NDArray[np.float64]
 
@@ -261,23 +261,19 @@ class CpuSeilerModel(HostModel):
         return energy / (2 if self._blanket else 1), math.sqrt(np.vdot(pulls, pulls))
 
     def clear_cache(self) -> None:
-        """Clear the model cache, because vectors of the model may contain non-finite values."""
-        _last[:] = ()
+        """Forget the model, because vectors of the model may contain non-finite values."""
+        _model.clear()
 
 
-_last: list[CpuSeilerModel] = []
-in_child_of_fork(_last.clear)  # the fork may have interrupted a solve that uses the model
+_model: Kept[CpuSeilerModel] = Kept()
 
 
 def the_model(
     material: SeilerMaterial, kind: type[CpuSeilerModel] = CpuSeilerModel
 ) -> CpuSeilerModel:
-    """Return the model of a material, reusing the cached model if possible.
+    """Return the model of a material, reusing the last model if possible.
 
     Users edit observations more often than tissue. Call this function only on the compute thread,
     because all solves share the model.
     """
-    if not _last or _last[0].material != material:
-        _last[:] = ()  # free the old model before the new one is allocated
-        _last.append(kind(material))
-    return _last[0]
+    return _model.get(lambda last: last.material == material, lambda: kind(material))

@@ -25,7 +25,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends import volume_caches
 from napari_hmrf.solver.backends.base import Checkpoint
 from napari_hmrf.solver.backends.compile_cache import loops
 from napari_hmrf.solver.backends.cpu.elastic_model import CpuElasticModel
@@ -34,12 +33,13 @@ from napari_hmrf.solver.backends.cpu.volume_model import CpuVolumeModel
 from napari_hmrf.solver.backends.host_model import HostModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.solver.backends.planes import inside, planes
-from napari_hmrf.solver.backends.thread import compute_thread, in_child_of_fork
+from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.coarse_levels import smoother_bounds
 from napari_hmrf.solver.coupling import Box, Coupling
 from napari_hmrf.solver.data_term import DataTerm, packed_axes
 from napari_hmrf.solver.optimizers.cycle import Cycle, smoothing_of
 from napari_hmrf.solver.priors.elements import ElasticMaterial, stiffest
+from napari_hmrf.solver.workspace import Kept
 
 #: Factor on the correction of each cycle. A cycle may correct a motion by twice its error; without
 #: the factor, two such corrections would cancel, and the iteration would hardly reduce the motion.
@@ -290,8 +290,8 @@ class SlidingModel(HostModel):
         return out
 
     def clear_cache(self) -> None:
-        """Clear the model cache, because vectors of the model may contain non-finite values."""
-        _last[:] = ()
+        """Forget the model, because vectors of the model may contain non-finite values."""
+        _model.clear()
 
 
 def _packed(tensors: Planes) -> Planes:
@@ -315,17 +315,14 @@ def _bordered(held: Values) -> HeldPlanes:
     return np.pad(held, ((0, 0), *((2, 2),) * (held.ndim - 1)))
 
 
-_last: list[SlidingModel] = []
-in_child_of_fork(_last.clear)
-volume_caches.register(_last.clear)
+_model: Kept[SlidingModel] = Kept(is_large=True)
 
 
 def the_model(material: ElasticMaterial, checkpoint: Checkpoint) -> SlidingModel:
-    """Return the model of a material, reusing the cached model if possible.
+    """Return the model of a material, reusing the last model if possible.
 
     Call this function only on the compute thread, because all solves share the model.
     """
-    if not _last or _last[0].material != material:
-        _last[:] = ()  # free the old model before the new one is allocated
-        _last.append(SlidingModel(material, checkpoint))
-    return _last[0]
+    return _model.get(
+        lambda last: last.material == material, lambda: SlidingModel(material, checkpoint)
+    )

@@ -8,7 +8,6 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends import volume_caches
 from napari_hmrf.solver.backends.base import BATCH_SECONDS, Checkpoint
 from napari_hmrf.solver.backends.compile_cache import loops
 from napari_hmrf.solver.backends.cpu import hexahedra, volume, volume_transfer
@@ -25,7 +24,6 @@ from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
 from napari_hmrf.solver.backends.host_model import HostModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.solver.backends.rigid.bodies import Bodies, BodySites, bodies_of
-from napari_hmrf.solver.backends.thread import in_child_of_fork
 from napari_hmrf.solver.coarse_levels import grids, smoother_bounds
 from napari_hmrf.solver.priors.elements import (
     CYCLE_STAND_IN,
@@ -33,6 +31,7 @@ from napari_hmrf.solver.priors.elements import (
     lame_ratio,
     stiffest,
 )
+from napari_hmrf.solver.workspace import Kept
 
 # Approximate time of a smoothing step for one site on one thread, in seconds.
 _SITE_SECONDS = 20e-9
@@ -410,17 +409,15 @@ class CpuVolumeModel(HostModel):
         return steepness
 
     def clear_cache(self) -> None:
-        """Clear the model cache, because vectors of the model may contain non-finite values."""
-        _last[:] = ()
+        """Forget the model, because vectors of the model may contain non-finite values."""
+        _model.clear()
 
 
-_last: list[CpuVolumeModel] = []
-in_child_of_fork(_last.clear)
-volume_caches.register(_last.clear)
+_model: Kept[CpuVolumeModel] = Kept(is_large=True)
 
 
 def the_model(material: ElasticMaterial, checkpoint: Checkpoint = _never_cancel) -> CpuVolumeModel:
-    """Return the model of a material, reusing the cached model if possible.
+    """Return the model of a material, reusing the last model if possible.
 
     Call this function only on the compute thread, because all solves share the model.
     """
@@ -428,13 +425,13 @@ def the_model(material: ElasticMaterial, checkpoint: Checkpoint = _never_cancel)
     def layout(each: ElasticMaterial) -> tuple[Any, ...]:
         return each.m.shape, isinstance(each.poisson, float), each.data is not None
 
-    if not _last or layout(_last[0].material) != layout(material):
-        _last[:] = ()  # free the old model before the new one is allocated
-        _last.append(CpuVolumeModel(material, checkpoint))
-    elif _last[0].material != material:
-        model = _last.pop()  # if the update is cancelled, the model is not cached
-        model.set_checkpoint(checkpoint)
+    model = _model.get(
+        lambda last: layout(last.material) == layout(material),
+        lambda: CpuVolumeModel(material, checkpoint),
+    )
+    model.set_checkpoint(checkpoint)
+    if model.material != material:
+        _model.clear()  # if the update is cancelled, the model is not kept
         model.assemble(material)
-        _last.append(model)
-    _last[0].set_checkpoint(checkpoint)
-    return _last[0]
+        _model.value = model
+    return model

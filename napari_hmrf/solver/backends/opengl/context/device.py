@@ -28,7 +28,8 @@ from napari_hmrf.solver.backends.opengl.programs.volume_programs import (
     compile_volume,
 )
 from napari_hmrf.solver.backends.opengl.programs.volume_source import TOGETHER
-from napari_hmrf.solver.backends.thread import compute_thread, in_child_of_fork
+from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.solver.workspace import in_child_of_fork
 
 _log = logging.getLogger("napari_hmrf")
 

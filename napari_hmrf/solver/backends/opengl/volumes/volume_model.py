@@ -19,9 +19,9 @@ from napari_hmrf.solver.backends.opengl.programs.programs import Uniforms
 from napari_hmrf.solver.backends.opengl.programs.volume_programs import Buffers
 from napari_hmrf.solver.backends.opengl.volumes.volume_level import GLVolumeLevel, exact
 from napari_hmrf.solver.backends.opengl.volumes.volume_passes import VolumePasses
-from napari_hmrf.solver.backends.thread import in_child_of_fork
 from napari_hmrf.solver.coarse_levels import grids, smoother_bounds
 from napari_hmrf.solver.priors.elements import ElasticMaterial, Lame, lame_ratio, stiffest
+from napari_hmrf.solver.workspace import Kept
 
 _INSIDE = (slice(2, -2),) * 3
 _ELEMENTS = (slice(None), *(slice(2, -3),) * 3)
@@ -35,8 +35,7 @@ class _System(NamedTuple):
     earlier: EarlierResults
 
 
-_last: list[_System] = []
-in_child_of_fork(_last.clear)
+_system: Kept[_System] = Kept()
 
 
 class GLVolumeModel(HostModel):
@@ -98,10 +97,14 @@ class GLVolumeModel(HostModel):
         self.clear()
         for buffer in self._residual.buffers:
             self._passes.device.clear_buffer(buffer)
-        known = _last[0] if _last and _last[0].material == self.material else None
-        again = known is not None and np.array_equal(known.held, held)
-        self.earlier = known.earlier if known is not None and again else EarlierResults()
-        _last[:] = [_System(self.material, held, self.earlier)]
+
+        def is_same(last: _System) -> bool:
+            return last.material == self.material and np.array_equal(last.held, held)
+
+        def new() -> _System:
+            return _System(self.material, held, EarlierResults())
+
+        self.earlier = _system.get(is_same, new).earlier
 
     @property
     def moves(self) -> HeldPlanes:
@@ -149,7 +152,7 @@ class GLVolumeModel(HostModel):
 
     def clear_cache(self) -> None:
         """Clear the results that are stored for later solves."""
-        _last[:] = ()
+        _system.clear()
 
     def close(self) -> None:
         """Free all buffers of the model."""
