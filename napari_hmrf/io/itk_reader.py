@@ -32,6 +32,8 @@ TEXTS = (".tfm", ".txt")
 _NRRD, _META = (".nrrd", ".nhdr"), (".mha", ".mhd")
 #: Fields of the spacing in headers of NRRD and MetaImage.
 _SPACING = ("spacings", "elementspacing", "elementsize")
+#: Vector of a header of NRRD that is neither NaN nor 0.
+_VECTOR = re.compile(r"\([^)]*[1-9]")
 #: Suffixes of header files with the pixels in another file of the same folder.
 _PARTED = (".mhd", ".nhdr", ".hdr")
 #: Characters that are not in a text.
@@ -194,14 +196,14 @@ def _checked_reader(path: Path, suffix: str = "") -> tuple[Any, float]:
     if suffix == ".dcm":
         check_frames(path)
     fields, end = _text_header(path) if suffix in (*_NRRD, *_META) else ({}, 0)
-    if fields:
-        _require_spacing(fields)
     if suffix in _NRRD:
         unit = _unit_of(fields.get("space units", ""))
     reader = sitk.ImageFileReader()
     reader.SetFileName(str(path))
     reader.SetImageIO(READERS.get(suffix, ""))
     reader.ReadImageInformation()
+    if fields:
+        _require_spacing(fields, reader.GetDimension())
     if suffix == ".dcm":
         _require_pixel_size(reader)
     files = path.parent.iterdir() if suffix in _PARTED else [path]
@@ -238,9 +240,23 @@ def _text_header(path: Path) -> tuple[dict[str, str], int]:
         return fields, file.tell()
 
 
-def _require_spacing(fields: dict[str, str]) -> None:
-    """Raise an error for an NRRD or MetaImage header without a spacing, which ITK reads as 1 mm."""
+def _require_spacing(fields: dict[str, str], ndim: int) -> None:
+    """Raise an error for an NRRD or MetaImage header without a spacing, which ITK reads as 1 mm.
+
+    Parameters
+    ----------
+    fields : dict of str to str
+        Fields of the header.
+    ndim : int
+        Number of axes without those of channels; only these may have the direction "none".
+    """
     if "space directions" in fields:
+        directions = fields["space directions"]
+        if len(_VECTOR.findall(directions)) < min(ndim, 3):
+            raise Unreadable(
+                f"its header states the space directions {directions}, so the spacing of an axis "
+                'is unknown. Give a vector for each axis in space; "none" is for channels only'
+            )
         return
     stated = next((fields[key] for key in _SPACING if key in fields), None)
     if stated is None:

@@ -129,9 +129,11 @@ def read_nifti_header(path: Path) -> NiftiHeader:
     if len(start) < length:
         raise Unreadable(CUT_SHORT)
     try:
-        header = kinds[length](start[:length])
+        kinds[length](start[:length])  # checks the header, but repairs sizes without an error
+        header = kinds[length](start[:length], check=False)
         kind, first = header.get_data_dtype(), header.get_data_offset()
         shape = tuple(max(size, 1) for size in header.get_data_shape())
+        _require_sizes(header, shape)
         scaling = header.get_slope_inter()
         affines = header.get_qform(coded=True), header.get_sform(coded=True)
         millimetres = MILLIMETRES[header.get_xyzt_units()[0]]
@@ -214,6 +216,30 @@ def _values(header: NiftiHeader, path: Path) -> npt.NDArray[Any]:
     if components == 1:
         return values.reshape(shape)
     return np.moveaxis(values.reshape(components, *shape), 0, -1)
+
+
+def _require_sizes(header: Any, shape: tuple[int, ...]) -> None:
+    """Raise an error if the place depends on voxel sizes that are not positive.
+
+    A single voxel along an axis may have the size 0: programs write it for the third axis of a
+    picture, and it is read as 1.
+    """
+    if header["sform_code"] and not header["qform_code"]:
+        return
+    sizes, reversal = header["pixdim"][1:4], header["pixdim"][0]
+    sizes[(sizes == 0) & (np.array((*shape, 1, 1)[:3]) == 1)] = 1
+    if not (sizes > 0).all():
+        stated = " x ".join(f"{size:g}" for size in sizes)
+        raise Unreadable(
+            f"its header states the voxel sizes (pixdim) {stated}. Set positive sizes, for example "
+            "with nibabel: image.header.set_zooms"
+        )
+    if reversal not in (-1, 0, 1):
+        raise Unreadable(
+            f"its header states {reversal:g} as the direction of its third axis (qfac, pixdim[0]). "
+            "Set 1 or -1"
+        )
+    header["pixdim"][0] = reversal or 1  # as in the standard
 
 
 def _geometry(

@@ -99,6 +99,16 @@ def nifti(path, sform=None, codes=(1, 1), pixels=None, kind=nibabel.Nifti1Image,
     return path
 
 
+def change_sizes(path, stated, shape=SHAPE):
+    """Write a NIfTI file whose header states the handedness and the voxel sizes."""
+    path = nifti(path, codes=(1, 0), pixels=np.ones(shape, np.float32))
+    is_packed = path.suffix == ".gz"
+    content = gzip.decompress(path.read_bytes()) if is_packed else path.read_bytes()
+    content = content[:76] + np.array(stated, np.float32).tobytes() + content[92:]
+    path.write_bytes(gzip.compress(content) if is_packed else content)
+    return path
+
+
 SHIFTED = np.array([[1.0, 0, 0, 3], [0, 1, 0, 0], [0, 0, 2, 0], [0, 0, 0, 1]])
 SHEARED = np.array([[1.0, 0, 0, 0], [0, 1, 0.5, 0], [0, 0, 2, 0], [0, 0, 0, 1]])
 ROUNDED = np.array([[1.0, 0, 0, 3], [0, 1, 0.005, 0], [0, 0, 2, 0], [0, 0, 0, 1]])
@@ -201,6 +211,10 @@ REFUSED = {
     "spacing 0": ("a.mha", lambda p: write_changed(p, rb"ing = 1 1", b"ing = 1 0"), "positive"),
     "spacing -1": ("a.mha", lambda p: write_changed(p, rb"ing = 1 1", b"ing = 1 -1"), "positive"),
     "no directions": ("a.nrrd", lambda p: write_changed(p, rb"space dir.*\n", b""), "no spacing"),
+    "no direction": ("a.nrrd", lambda p: write_changed(p, rb"\(0,0,1\)", b"none"), "of an axis is"),
+    "size 0": ("a.nii", lambda p: change_sizes(p, (1, 1, 0, 2)), "sizes (pixdim) 1 x 0 x 2"),
+    "size -2": ("a.nii", lambda p: change_sizes(p, (1, 1, 1, -2)), "sizes (pixdim) 1 x 1 x -2"),
+    "no handedness": ("a.nii.gz", lambda p: change_sizes(p, (-2, 1, 1, 2)), "qfac"),
     "two units": (
         "a.nrrd",
         lambda p: write_changed(p, rb"\n\n", b'\nspace units: "um" "mm" "s"\n\n'),
@@ -295,6 +309,14 @@ def test_the_content_of_a_nifti_file_counts_not_its_name(tmp_path):
     nibabel.save(nibabel.Nifti1Pair(pixels.T, np.eye(4)), tmp_path / "d.hdr")
     for path in (packed, plain, second, tmp_path / "d.hdr", tmp_path / "d.img"):
         np.testing.assert_array_equal(read_image(path).pixels, pixels)
+
+
+def test_what_the_standard_allows_as_voxel_sizes_is_read(tmp_path):
+    reversed_ = read_image(change_sizes(tmp_path / "a.nii", (-1, 1, 1, 2)))
+    assert reversed_.geometry.affine[0, 0] == -2
+    assert read_image(change_sizes(tmp_path / "a.nii", (0, 1, 1, 2))).geometry.affine[0, 0] == 2
+    picture = read_image(change_sizes(tmp_path / "b.nii", (1, 1, 3, 0), (6, 7)))
+    assert picture.geometry.spacing == (3, 1)
 
 
 @pytest.mark.parametrize("suffix", [".nii", ".nii.gz"])
