@@ -22,18 +22,21 @@ if sys.platform == "linux":
 P = ParamSpec("P")
 T = TypeVar("T")
 
-#: Time allowed for any call, and additional time per MB, in seconds; long enough for slow disks.
+#: Time allowed for starting the process with its imports, in seconds; long enough for slow disks.
+_SECONDS_TO_START = 120.0
+#: Time allowed for any call, and additional time per MB, in seconds.
 _LEAST_SECONDS, _SECONDS_PER_MB = 10.0, 2.0
 #: Memory allowed for any call, in bytes, and largest memory divided by the size of the file.
 _LEAST_MEMORY, _LARGEST_RATIO = 2 * 2**30, 4 * MOST_PACKED
 #: Program of the child process.
 _PROGRAM = """
-import sys
+import faulthandler, sys
+faulthandler.dump_traceback_later(float(sys.argv[2]), exit=True)
 sys.path.insert(0, sys.argv[1])
 from napari_hmrf.io.child_process import main
 main()
 """
-#: Bytes that the child process sends when it has received its request.
+#: Bytes that the child process sends when it has received its request and is ready for it.
 _READY = b"ready"
 
 
@@ -51,8 +54,8 @@ def call_in_child(
     Parameters
     ----------
     size : int
-        Size of the file that the function reads or writes, in bytes; it limits the time and, on
-        Linux, the memory.
+        Size of the file that the function reads or writes, in bytes; it limits the time, without
+        that of starting the process, and, on Linux, the memory.
     function : callable
         Function of a module. Its arguments, its result and its errors are pickled.
     *arguments, **options
@@ -63,14 +66,15 @@ def call_in_child(
     ChildDied
         If the process crashed or did not finish in time.
     HmrfError
-        If no process can be started.
+        If no process can be started, or if it is not ready in time.
     Exception
         If the function raises it; `MemoryError` if it requires too much memory.
     """
     limits = _LEAST_SECONDS + _SECONDS_PER_MB * size / 1e6, _LEAST_MEMORY + _LARGEST_RATIO * size
     # An application that is frozen into one program has no interpreter.
     python = "" if getattr(sys, "frozen", False) else get_executable() or ""
-    command = [python, "-P", "-c", _PROGRAM, str(Path(__file__).parents[2])]
+    package = str(Path(__file__).parents[2])
+    command = [python, "-P", "-c", _PROGRAM, package, str(_SECONDS_TO_START)]
     paths = os.pathsep.join(os.path.abspath(each) for each in sys.path)
     try:
         process = subprocess.Popen(
@@ -94,7 +98,9 @@ def call_in_child(
                 pickle.dump((limits, function, arguments, options), process.stdin)
             if process.stdout.read(len(_READY)) != _READY:
                 raise HmrfError(
-                    "this file is read in a separate process, which ended while starting."
+                    "this file is read in a separate process, which ended while starting, or did "
+                    f"not start in {_SECONDS_TO_START:g} s. Try again while the computer and its "
+                    "disk are less busy."
                 )
             succeeded, result = pickle.load(process.stdout)
         except (EOFError, OSError, pickle.UnpicklingError):
@@ -111,6 +117,8 @@ def main() -> None:
     results = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)  # libraries print warnings about damaged files
     (seconds, memory), function, arguments, options = pickle.load(sys.stdin.buffer)
+    with suppress(ImportError):  # the function reports a missing package
+        import SimpleITK  # noqa: F401 - optional: SimpleITK, imported before the time counts
     results.write(_READY)
     results.flush()
     if sys.platform == "linux":
@@ -118,7 +126,8 @@ def main() -> None:
         _, most = resource.getrlimit(resource.RLIMIT_AS)
         with suppress(ValueError, OSError):  # above a limit of this system
             resource.setrlimit(resource.RLIMIT_AS, (used + memory, most))
-    # Ends this process even while a library hangs, and if the calling process has ended.
+    # Replaces the limit of the start. It ends this process even while a library hangs, and if the
+    # calling process has ended.
     faulthandler.dump_traceback_later(seconds, exit=True)
     try:
         answer: tuple[bool, Any] = True, function(*arguments, **options)

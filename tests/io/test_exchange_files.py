@@ -116,6 +116,13 @@ def test_a_child_process_returns_results_and_errors():
         call_in_child(0, os.abort)
 
 
+def test_the_start_of_a_child_process_has_its_own_limit_of_time(monkeypatch):
+    assert call_in_child(0, eval, "'SimpleITK' in __import__('sys').modules")
+    monkeypatch.setattr(child_process, "_SECONDS_TO_START", 1e-6)
+    with pytest.raises(HmrfError, match="did not start in 1e-06 s"):
+        call_in_child(0, divmod, 7, 2)
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="needs the limit of memory of Linux")
 def test_a_child_process_has_a_limit_of_memory():
     with pytest.raises(MemoryError):
