@@ -298,7 +298,7 @@ def shape_of(path: str | os.PathLike[str]) -> tuple[int, ...]:
     Returns
     -------
     tuple of int
-        Shape (D, H, W); () for other files, and for files that `read_image` refuses.
+        Shape (D, H, W); () for other files, for DICOM, and for files that `read_image` refuses.
     """
     source = Path(checked_path(path))
     if source.is_dir() or not source.name.lower().endswith(MEDICAL_SUFFIXES):

@@ -57,12 +57,15 @@ def read_itk_image(source: Path) -> Decoded:
 def itk_shape(source: Path) -> tuple[int, ...]:
     """Return the number of pixels along each axis, ([z,] y, x), from the header of an image.
 
+    The result is () for a file that is read in a child process, which is started once for each
+    file.
+
     Raises
     ------
     Unreadable, HmrfError, OSError
         As for `read_itk_image`.
     """
-    return _head(source)[0]
+    return _head(source)[0] if is_nifti(source) or _is_robust(source) else ()
 
 
 def read_itk_series(folder: Path) -> Decoded:
@@ -185,7 +188,7 @@ def _call(function: Callable[[Path], T], source: Path) -> T:
     """Call a function of `itk_reader`, in a child process if the file may crash or hang it."""
     require_simpleitk()
     try:
-        if source.suffix.lower() in _ROBUST and not source.is_dir():
+        if _is_robust(source):
             with _LOCK:
                 return function(source)
         return call_in_child(_bytes_in(source), function, source)
@@ -196,6 +199,10 @@ def _call(function: Callable[[Path], T], source: Path) -> T:
             "decoding it crashes, does not finish or takes too much memory, so it is probably "
             "damaged"
         ) from None
+
+
+def _is_robust(source: Path) -> bool:
+    return source.suffix.lower() in _ROBUST and not source.is_dir()
 
 
 def _right_angled(image: Decoded) -> Decoded:

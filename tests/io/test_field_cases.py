@@ -21,7 +21,7 @@ from napari_hmrf import FileFormatError, Grid, HmrfError, ProblemError, read_stu
 from napari_hmrf.cli import main
 from napari_hmrf.contributions import open_landmarks, open_scan
 from napari_hmrf.fields import read_field
-from napari_hmrf.io import case
+from napari_hmrf.io import case, itk_files, itk_reader
 from napari_hmrf.io.apply import FieldFile, _note_on_labels, apply_field
 from napari_hmrf.io.case import as_labels, read_case
 from napari_hmrf.io.case_options import Case
@@ -629,3 +629,15 @@ def test_a_file_beyond_the_memory_is_refused_from_its_header(tmp_path, monkeypat
     with pytest.raises(ProblemError):
         read_case(Case(tmp_path / "a.nii.gz"))
     assert shapes == [SHAPE]
+
+
+def test_a_dicom_file_is_read_by_one_process(tmp_path, monkeypatch):
+    called = []
+
+    def call(size, function, *arguments):
+        called.append(function)
+        return function(*arguments)
+
+    monkeypatch.setattr(itk_files, "call_in_child", call)
+    read_case(Case(write_frames(tmp_path / "a.dcm", (0, 3, 6, 9))))
+    assert called == [itk_reader.read_pixels]
