@@ -26,6 +26,7 @@ from napari_hmrf.geometry import Geometry
 from napari_hmrf.io.decoded import Decoded, Unreadable
 from napari_hmrf.io.itk_files import encode, itk_shape, read_itk_image, read_itk_series
 from napari_hmrf.regular_file import refuse_irregular
+from napari_hmrf.solver.solution import is_solution_file
 
 #: Axes of .tif files that are not axes of space, with their content, and the unit of OME's sizes.
 _NO_SPACE, _OME_UNIT = {"C": "channels", "T": "times"}, "µm"
@@ -45,6 +46,8 @@ _OTHER_SUFFIXES = (".study", ".npz", ".csv", ".fcsv", ".mrk.json", ".h5", ".tfm"
 #: Suffixes of medical images.
 MEDICAL_SUFFIXES = (*(".nii.gz", ".nii", ".hdr", ".img", ".mha", ".mhd", ".nrrd", ".nhdr", ".dcm"),)
 _FREESURFER = (".mgz", ".mgh")
+#: Type of a table of contents in a DICOM file, and size of the start that states it, in bytes.
+_CONTENTS, _START = b"1.2.840.10008.1.3.10", 512
 #: Suffixes of medical images that are also written: neither DICOM, nor formats with two files.
 _WRITTEN = (".nii.gz", ".nii", ".mha", ".nrrd")
 
@@ -312,6 +315,16 @@ def shape_of(path: str | os.PathLike[str]) -> tuple[int, ...]:
 
 def _unreadable(source: Path, reason: str = "") -> FileFormatError:
     """Return the error for a file that cannot be read as an image, with the likely reason."""
+    if is_solution_file(source):
+        return FileFormatError(
+            f"{source.name}: it is a saved result, not an image. Give an image, or use the result "
+            "with export, apply, measure or play."
+        )
+    if _is_contents(source):
+        return FileFormatError(
+            f"{source.name}: it is the table of contents of DICOM files, without pixels. Give a "
+            "folder with the files of one series, which are in folders beside it."
+        )
     if reason:
         return FileFormatError(f"{source.name}: cannot be read as an image: {reason}.")
     if source.name.lower().endswith(_FREESURFER):
@@ -355,8 +368,19 @@ def is_scan(path: str | os.PathLike[str]) -> bool:
 
 
 def _is_dicom(file: Path) -> bool:
+    return _dicom_start(file) != b""
+
+
+def _is_contents(file: Path) -> bool:
+    """Return whether a file is the table of contents of DICOM files, usually named DICOMDIR."""
+    return _CONTENTS in _dicom_start(file)
+
+
+def _dicom_start(file: Path) -> bytes:
+    """Return the start of a DICOM file, with the type of its content; b"" for other files."""
     with open(file, "rb") as stream:
-        return stream.read(132)[128:] == b"DICM"
+        start = stream.read(_START)
+    return start if start[128:132] == b"DICM" else b""
 
 
 def write_image(path: str | os.PathLike[str], image: ImageFile) -> Path:

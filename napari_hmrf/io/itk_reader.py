@@ -138,7 +138,7 @@ def read_series(folder: Path) -> Decoded:
     reader = sitk.ImageSeriesReader()
     series = reader.GetGDCMSeriesIDs(str(folder))
     if len(series) != 1:
-        content = f"{len(series)} series" if series else "no DICOM file"
+        content = f"{len(series)} series" if series else "no DICOM image"
         raise Unreadable(f"the folder contains {content}. Give a folder with one series")
     names = reader.GetGDCMSeriesFileNames(str(folder), series[0])
     refuse_damaged(folder, series[0], names)

@@ -215,6 +215,16 @@ REFUSED = {
     "size 0": ("a.nii", lambda p: change_sizes(p, (1, 1, 0, 2)), "sizes (pixdim) 1 x 0 x 2"),
     "size -2": ("a.nii", lambda p: change_sizes(p, (1, 1, 1, -2)), "sizes (pixdim) 1 x 1 x -2"),
     "no handedness": ("a.nii.gz", lambda p: change_sizes(p, (-2, 1, 1, 2)), "qfac"),
+    "a DICOMDIR": (
+        "DICOMDIR",
+        lambda p: p.write_bytes(bytes(128) + b"DICM\x02\0\x02\0UI\x14\x001.2.840.10008.1.3.10"),
+        "table of contents",
+    ),
+    "a result": (
+        "a.npz",
+        lambda p: solution_of(np.zeros((4, 5, 2), np.float32)).write(p),
+        "export, apply, measure or play",
+    ),
     "two units": (
         "a.nrrd",
         lambda p: write_changed(p, rb"\n\n", b'\nspace units: "um" "mm" "s"\n\n'),
@@ -234,7 +244,8 @@ def test_an_image_is_refused_with_its_reason(tmp_path, capsys, name, write, reas
     command = ["solve", path, "--hold-edge", "-o", tmp_path / "out"]
     said = [refused(command, capsys)]
     reads = [Grid.from_image]
-    reads += [open_scan(str(path))] * (not name.endswith((".mgz", ".tif")))  # others read these
+    is_scan_name = name not in ("a.mgz", "a.tif", "a.npz", "DICOMDIR")  # others read these
+    reads += [open_scan(str(path))] * is_scan_name
     reads += [read_field] * (reason == "right angles") + [read_label_names] * (reason == "2 layers")
     for read in reads:
         with pytest.raises(HmrfError) as error:

@@ -43,7 +43,7 @@ def test_a_file_without_an_image_is_refused_in_one_sentence(tmp_path):
             read_image(tmp_path / name)
     empty = tmp_path / "series"
     empty.mkdir()
-    with pytest.raises(FileFormatError, match=r"series: the folder contains no DICOM file"):
+    with pytest.raises(FileFormatError, match=r"series: the folder contains no DICOM image"):
         read_image(empty)
     with pytest.raises(FileNotFoundError, match=r"gone\.png"):
         read_image(tmp_path / "gone.png")
