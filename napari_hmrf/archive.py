@@ -75,6 +75,13 @@ class _Invalid(ValueError):
     """Error for content that violates the format; the message follows "not a valid <name>: "."""
 
 
+class _Foreign(_Invalid):
+    """Error for another kind of file."""
+
+    def __init__(self) -> None:
+        super().__init__("it is another kind of file")
+
+
 class ByClass:
     """Annotation of a union of dataclasses: values are stored with the name of their class."""
 
@@ -197,7 +204,7 @@ class Archive(Generic[T]):
             if path.is_dir():
                 raise _Invalid("it is a folder")
             if is_foreign(path):
-                raise _Invalid("it is another kind of file")
+                raise _Foreign
             return self._object(*_read(path))
         except _Invalid as error:
             reason = str(error)
@@ -227,7 +234,7 @@ class Archive(Generic[T]):
         """Create the object of a header, and of the arrays that it names."""
         fields = dict(header)
         if fields.pop("format") != self.name:
-            raise _Invalid("it is another kind of file")
+            raise _Foreign
         if (version := fields.pop("version", None)) != self.version:
             raise _Invalid(
                 f"its format has version {shown(version)}, but this version of napari-hmrf reads "
@@ -277,6 +284,17 @@ def is_foreign(path: str | os.PathLike[str]) -> bool:
         return not _ZIP.startswith(file.read(len(_ZIP)))
 
 
+def is_damaged(path: str | os.PathLike[str]) -> bool:
+    """Return whether a file is an archive whose kind is unknown, because its header is damaged."""
+    try:
+        _read(Path(checked_path(path)), only_header=True)
+    except (_Foreign, OSError, FileFormatError):
+        return False
+    except _DAMAGE:
+        return not is_foreign(path)
+    return False
+
+
 def _replaced(value: Any, change: Callable[[Any, str], Any], path: tuple[str, ...] = ()) -> Any:
     """Return nested mappings and lists with values replaced by a function of value and name."""
     if isinstance(value, float):  # most values are coordinates of strokes
@@ -303,7 +321,7 @@ def _read(path: Path, *, only_header: bool = False) -> tuple[Header, Arrays]:
     with open(path, "rb") as file, zipfile.ZipFile(file) as archive:
         names = [name.removesuffix(".npy") for name in archive.namelist()]
         if _HEADER not in names:
-            raise _Invalid("it is another kind of file")
+            raise _Foreign
         if len(set(names)) < len(names):
             raise _Invalid("two of its members have the same name")
         size = sum(info.file_size for info in archive.infolist())
@@ -311,7 +329,7 @@ def _read(path: Path, *, only_header: bool = False) -> tuple[Header, Arrays]:
             raise _Invalid(f"it declares {size} bytes, more than such a file may contain")
         header = json.loads(str(_array(archive, _HEADER).item()))
         if not isinstance(header, dict) or "format" not in header:
-            raise _Invalid("it is another kind of file")
+            raise _Foreign
         others = [] if only_header else [name for name in names if name != _HEADER]
         return header, {name: _array(archive, name) for name in others}
 

@@ -10,6 +10,7 @@ import napari
 import numpy as np
 from napari.utils.notifications import show_info
 
+from napari_hmrf.archive import is_damaged
 from napari_hmrf.errors import FileFormatError, HmrfError
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.io.apply import FieldFile, read_field_file, write_field_file
@@ -158,9 +159,12 @@ def phantom_layers(phantom: Phantom | HeadPhantom) -> list[LayerData]:
 
 
 def open_solution(path: PathOrPaths) -> Callable[[PathOrPaths], Sequence[Any]] | None:
-    """Return a reader for results or a study saved as .npz, or None for other files."""
+    """Return a reader for results or a study saved as .npz, or None for other files.
+
+    A file that is damaged, so that its kind is unknown, has a reader, which reports the error.
+    """
     paths = _listed(path)
-    if paths and all(is_solution_file(each) for each in paths):
+    if paths and all(is_solution_file(each) or is_damaged(each) for each in paths):
         return _read
     return open_study(path)
 

@@ -29,6 +29,8 @@ from napari_hmrf.errors import FileFormatError, HmrfError
 from napari_hmrf.field.frame import PATIENT_AXES, Frame
 from napari_hmrf.fields import read_field
 from napari_hmrf.geometry import Geometry
+from napari_hmrf.io.case import read_case
+from napari_hmrf.io.case_options import Case
 from napari_hmrf.io.images import ImageFile, write_image
 from napari_hmrf.landmarks import write_points
 from napari_hmrf.layers.metadata import METADATA, rows_of
@@ -238,6 +240,17 @@ def test_napari_saves_and_opens_the_result(viewer, arrows, tmp_path):
     assert viewer.layers.save(path, plugin="napari-hmrf") == [path]
     (layer,) = viewer.open(path, plugin="napari-hmrf")
     np.testing.assert_array_equal(layer.data, arrows.data)
+
+
+def test_napari_reports_that_a_result_or_a_study_is_damaged(viewer, solution, tmp_path):
+    for name in ("a.npz", "a.study"):
+        path = solution.write(tmp_path / name)
+        path.write_bytes(path.read_bytes()[:400])
+    with pytest.raises(FileFormatError, match=r"a\.npz: not a valid .* it is damaged"):
+        viewer.open(str(tmp_path / "a.npz"), plugin="napari-hmrf")
+    assert open_study(str(tmp_path / "a.study"))  # reading reports the error
+    with pytest.raises(FileFormatError, match=r"a\.study: not a valid .* it is damaged"):
+        read_case(Case(tmp_path / "a.study"))
 
 
 def test_the_field_of_a_result_is_exported_for_other_tools(arrows, solution, tmp_path):

@@ -174,9 +174,9 @@ def read_solved(path: str | os.PathLike[str]) -> tuple[Study | None, Solution]:
 
 
 def is_study_file(path: str | os.PathLike[str]) -> bool:
-    """Return whether a file is a study file, according to its header.
+    """Return whether a file is a study file, according to its suffix .study or its header.
 
-    Only the header is read, so the result is also True if other parts of the file are damaged.
+    The result is also True if the file is damaged, so that reading the file reports the error.
 
     Parameters
     ----------
@@ -186,7 +186,7 @@ def is_study_file(path: str | os.PathLike[str]) -> bool:
     -------
     bool
     """
-    return bool(_STUDIES.header(path))
+    return os.fsdecode(path).lower().endswith(SUFFIX) or bool(_STUDIES.header(path))
 
 
 def image_named_in(path: str | os.PathLike[str]) -> str:
