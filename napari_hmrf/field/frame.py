@@ -513,7 +513,7 @@ class Frame:
 
     @classmethod
     def of_solution(cls, solution: Solution) -> Frame:
-        """Return the frame of a solution; if it has none, a frame at the origin, in pixels.
+        """Return the frame of a solution; if it has none, a frame at the origin, in its unit.
 
         Raises
         ------
@@ -522,7 +522,7 @@ class Frame:
         """
         n = solution.tissue.ndim
         if not solution.frame:
-            return cls.at(solution.spacing, ("pixel",) * n, volume=n == 3)
+            return cls.at(solution.spacing, (solution.unit or "pixel",) * n, volume=n == 3)
         frame = cls.from_dict(solution.frame)
         if len(frame.plane) != n:
             raise ValueError(f"its plane {frame.plane} does not match a solution with {n} axes")

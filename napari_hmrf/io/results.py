@@ -262,7 +262,8 @@ def image_of(path: Path, image: Path | None = None) -> tuple[Solution, npt.NDArr
 def _on_grid(path: Path, solution: Solution) -> ImageFile:
     """Read an image on the grid of a solution; the axes of a volume are reordered to match."""
     frame = Frame.of_solution(solution)
-    image, geometry = read_image(path), None if frame.unit == "pixel" else geometry_of(solution)
+    is_placed = solution.frame and frame.unit != "pixel"
+    image, geometry = read_image(path), geometry_of(solution) if is_placed else None
     if solution.tissue.ndim == 3:
         image = image.laid_as(geometry, frame.file_axes or (0, 1, 2))
     elif 1 in image.pixels.shape[: image.ndim]:  # a volume of one slice

@@ -131,6 +131,7 @@ def test_a_frame_with_invalid_axes_is_rejected(plane):
 def test_a_solution_without_a_frame_is_at_the_origin():
     frame = Frame.of_solution(solution())
     assert (frame.plane, frame.spacing, frame.unit) == ((0, 1, 2), SIZE, "pixel")
+    assert Frame.of_solution(replace(solution(), unit="mm")).unit == "mm"
     assert Frame.of_solution(solution(SHAPE[1:])).plane == (0, 1)
     with pytest.raises(ValueError, match="match a solution with 3 axes"):
         Frame.of_solution(solution(frame=Frame.at(SIZE, ("mm",) * 3).as_dict()))
