@@ -26,8 +26,10 @@ ENDING = ".csv"
 _FORMULA = "=+-@\t\r"
 #: First line with which Excel states the separator.
 _SEPARATOR_LINE = re.compile(r"\Asep=.\n")
-#: Numbers with a decimal comma, also several with slashes or in per cent.
-_DECIMALS = re.compile(r"[-+\d,.eE/% ]+")
+#: Numbers with a decimal comma, also several with slashes or semicolons, or in per cent.
+_DECIMALS = re.compile(r"[-+\d,eE/;% ]*,[-+\d,eE/;% ]*")
+#: Number with a decimal point or a thousands separator, beside numbers with a decimal comma.
+_POINTED = re.compile(r"[-+]?\d+([.,]\d+)*\.\d+(,\d+)?(e[-+]?\d+)?\s*%?", re.IGNORECASE)
 #: Known column title for each synonym, suggested if a column is unknown.
 SYNONYMS = {
     **dict.fromkeys(
@@ -207,13 +209,14 @@ def text_of(path: Path, largest: int) -> str:
 def read_cells(path: Path, largest: int) -> list[tuple[int, list[str]]]:
     """Return the number and the cells of each line of a .csv file, without surrounding spaces.
 
-    Cells are separated by commas, semicolons or tabs. Between semicolons, decimal commas are
-    converted to points.
+    Cells are separated by commas, semicolons or tabs. Between semicolons and tabs, decimal commas
+    are converted to points.
 
     Raises
     ------
     FileFormatError
-        As for `text_of`, or if the file is not a table.
+        As for `text_of`; or if the file is not a table, or has numbers with decimal commas and
+        numbers with points, of which the latter may be thousands separators.
     OSError
         If the file cannot be opened.
     """
@@ -226,9 +229,22 @@ def read_cells(path: Path, largest: int) -> list[tuple[int, list[str]]]:
         lines = [(reader.line_num, list(map(_plain_cell, cells))) for cells in reader]
     except csv.Error:
         raise FileFormatError(f"{path.name} is not a table of comma-separated text.") from None
-    if separator != ";":
+    if separator == ",":
         return lines
+    _refuse_two_signs(path.name, lines)
     return [(number, list(map(_with_decimal_points, cells))) for number, cells in lines]
+
+
+def _refuse_two_signs(file: str, lines: list[tuple[int, list[str]]]) -> None:
+    """Raise an error if numbers contain commas and points: one of them may mark thousands."""
+    numbers = [(number, cell) for number, cells in lines for cell in cells]
+    pointed = next((each for each in numbers if _POINTED.fullmatch(each[1])), None)
+    if pointed and ("," in pointed[1] or any(_DECIMALS.fullmatch(cell) for _, cell in numbers)):
+        raise FileFormatError(
+            f"{file}: line {pointed[0]} contains {pointed[1]}, and the file also has decimal "
+            "commas, so that the point may separate thousands. Write numbers without a separator "
+            "of thousands, and with one decimal sign."
+        )
 
 
 def _with_decimal_points(cell: str) -> str:

@@ -36,8 +36,9 @@ CELLS_OF_A_ROW = {"label": "1", "name": "größer, als", "growth": "0.5/1.5"}
         ["", ",", "Label, name,growth,", '1,"größer, als",0.5/1.5,', ""],
         ["label;name;growth", "1;größer, als;0,5/1,5"],
         ["label\tname\tgrowth\t", "1\tgrößer, als\t0.5/1.5"],
+        ["label\tname\tgrowth\t", "1\tgrößer, als\t0,5/1,5"],
     ],
-    ids=["commas", "semicolons and decimal commas", "tabs"],
+    ids=["commas", "semicolons and decimal commas", "tabs", "tabs and decimal commas"],
 )
 def test_tables_of_spreadsheets_are_read_alike(tmp_path, encoding, ending, lines):
     path = tmp_path / "t.csv"
@@ -51,6 +52,17 @@ def test_a_line_with_too_many_cells_is_refused(tmp_path):
     (tmp_path / "t.csv").write_text("label,growth\n1,0,5\n")
     with pytest.raises(FileFormatError, match=r"t\.csv: line 2 has more cells"):
         read_table(tmp_path / "t.csv")
+
+
+@pytest.mark.parametrize(
+    ("first", "second"), [("1.234,5", "2"), ("1,234.5", "2"), ("1.234.567", "0,5"), ("1.5", "0,5")]
+)
+def test_a_point_that_may_separate_thousands_is_refused(tmp_path, first, second):
+    path = tmp_path / "t.csv"
+    for separator in ";\t":
+        path.write_text(f"label{separator}growth\n1{separator}{second}\n2{separator}{first}\n")
+        with pytest.raises(FileFormatError, match=f"line 3 contains {first}, .* thousands"):
+            read_table(path)
 
 
 @pytest.mark.parametrize(
