@@ -155,7 +155,8 @@ Growth = Annotated[
     _Strain | Annotated[tuple[_Strain, ...], _AXES],
     BeforeValidator(_along_axes),
     Words(
-        f"above -1 and up to {LARGEST_GROWTH:g}, such as 20% (a fifth longer), or one for each axis"
+        f"above -1 (-100%) and up to {LARGEST_GROWTH:g} ({LARGEST_GROWTH:.0%}), such as 0.2 or 20% "
+        "(a fifth longer), or one for each axis"
     ),
 ]
 #: Position or displacement, (row, col) or (plane, row, col).
