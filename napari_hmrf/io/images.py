@@ -363,7 +363,7 @@ def is_scan(path: str | os.PathLike[str]) -> bool:
     """
     source = Path(path)
     if not source.is_dir():
-        return source.name.lower().endswith(MEDICAL_SUFFIXES)
+        return source.name.lower().endswith((*MEDICAL_SUFFIXES, "dicomdir"))
     return any(_is_dicom(each) for each in sorted(source.iterdir()) if each.is_file())
 
 
