@@ -32,7 +32,7 @@ from napari_hmrf.arguments import checked_path, checked_target, did_you_mean
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError, ProblemError
 from napari_hmrf.field.units import unit_factor
-from napari_hmrf.io.table_files import read_cells, text_of
+from napari_hmrf.io.table_files import read_cells, split_cells, text_of
 from napari_hmrf.solver.problem import as_numbers
 
 Points = npt.NDArray[np.float64]
@@ -202,7 +202,7 @@ def is_landmark_file(path: str | os.PathLike[str]) -> bool:
     if not name.endswith(".csv"):
         return name.endswith(POINT_SUFFIXES)
     try:
-        first = _filled(read_cells(Path(path), _LARGEST))[:1]
+        first = _filled(split_cells(Path(path), _LARGEST)[1])[:1]
     except (OSError, FileFormatError):
         return False
     return any(len(row) > 1 and row[1].casefold() in (*_ACTIVE, _TITLE) for row in first)

@@ -215,8 +215,25 @@ def read_cells(path: Path, largest: int) -> list[tuple[int, list[str]]]:
     Raises
     ------
     FileFormatError
-        As for `text_of`; or if the file is not a table, or has numbers with decimal commas and
-        numbers with points, of which the latter may be thousands separators.
+        As for `split_cells`; or if the file has numbers with decimal commas and numbers with
+        points, of which the latter may be thousands separators.
+    OSError
+        If the file cannot be opened.
+    """
+    separator, lines = split_cells(path, largest)
+    if separator == ",":
+        return lines
+    _refuse_two_signs(path.name, lines)
+    return [(number, list(map(_with_decimal_points, cells))) for number, cells in lines]
+
+
+def split_cells(path: Path, largest: int) -> tuple[str, list[tuple[int, list[str]]]]:
+    """Return the separator of a .csv file, and its lines as for `read_cells`, with numbers as text.
+
+    Raises
+    ------
+    FileFormatError
+        As for `text_of`, or if the file is not a table.
     OSError
         If the file cannot be opened.
     """
@@ -226,13 +243,9 @@ def read_cells(path: Path, largest: int) -> list[tuple[int, list[str]]]:
     separator = max(",;\t", key=first.count)
     reader = csv.reader(io.StringIO(text), delimiter=separator, skipinitialspace=separator != "\t")
     try:
-        lines = [(reader.line_num, list(map(_plain_cell, cells))) for cells in reader]
+        return separator, [(reader.line_num, list(map(_plain_cell, cells))) for cells in reader]
     except csv.Error:
         raise FileFormatError(f"{path.name} is not a table of comma-separated text.") from None
-    if separator == ",":
-        return lines
-    _refuse_two_signs(path.name, lines)
-    return [(number, list(map(_with_decimal_points, cells))) for number, cells in lines]
 
 
 def _refuse_two_signs(file: str, lines: list[tuple[int, list[str]]]) -> None:

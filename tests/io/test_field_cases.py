@@ -556,6 +556,13 @@ def test_landmarks_with_other_separators_are_read(tmp_path, text):
     np.testing.assert_array_equal(read_points(path).points, [[2.0, 1.5]])
 
 
+def test_landmarks_with_a_separator_of_thousands_are_refused_by_their_reader(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("Pt;true;1.234,5;2;3;4\n")
+    with pytest.raises(FileFormatError, match="thousands"):
+        open_landmarks(str(path))(str(path))
+
+
 @pytest.mark.parametrize("order", STORED.values(), ids=STORED)
 def test_landmarks_along_the_axes_of_a_file_are_alike_in_all_doors(tmp_path, monkeypatch, order):
     """BigWarp stores landmarks from the first voxel along the axes of the file, in any order."""
