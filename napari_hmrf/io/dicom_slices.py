@@ -27,6 +27,8 @@ _PIXELS = b"\xe0\x7f\x10\x00"
 #: Rescale slopes and intercepts of frames, and tags of the time between frames.
 _RESCALE = re.compile(rb"\x28\x00([\x52\x53])\x10(?:DS..|.\x00\x00\x00)([-+.0-9eE ]+)", re.DOTALL)
 _TIMES = re.compile(rb"\x18\x00[\x63\x65]\x10(?:DS|.\x00)")
+#: Type of a table of contents in a DICOM file, and size of the start that states it, in bytes.
+_CONTENTS, _START = b"1.2.840.10008.1.3.10", 512
 
 
 class Slice(NamedTuple):
@@ -43,6 +45,23 @@ class Slice(NamedTuple):
     def name(self) -> str:
         """Name of the file."""
         return Path(self.path).name
+
+
+def is_dicom(file: Path) -> bool:
+    """Return whether a file is a DICOM file, according to its content."""
+    return _start_of(file) != b""
+
+
+def is_contents(file: Path) -> bool:
+    """Return whether a file is the table of contents of DICOM files, usually named DICOMDIR."""
+    return _CONTENTS in _start_of(file)
+
+
+def _start_of(file: Path) -> bytes:
+    """Return the start of a DICOM file, with the type of its content; b"" for other files."""
+    with open(file, "rb") as stream:
+        start = stream.read(_START)
+    return start if start[128:132] == b"DICM" else b""
 
 
 def ordered(slices: list[Slice]) -> list[Slice]:

@@ -24,6 +24,7 @@ from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.field.units import is_length, unit_factor
 from napari_hmrf.geometry import Geometry
 from napari_hmrf.io.decoded import Decoded, Unreadable
+from napari_hmrf.io.dicom_slices import is_contents, is_dicom
 from napari_hmrf.io.itk_files import encode, itk_shape, read_itk_image, read_itk_series
 from napari_hmrf.regular_file import refuse_irregular
 from napari_hmrf.solver.solution import is_solution_file
@@ -46,8 +47,6 @@ _OTHER_SUFFIXES = (".study", ".npz", ".csv", ".fcsv", ".mrk.json", ".h5", ".tfm"
 #: Suffixes of medical images.
 MEDICAL_SUFFIXES = (*(".nii.gz", ".nii", ".hdr", ".img", ".mha", ".mhd", ".nrrd", ".nhdr", ".dcm"),)
 _FREESURFER = (".mgz", ".mgh")
-#: Type of a table of contents in a DICOM file, and size of the start that states it, in bytes.
-_CONTENTS, _START = b"1.2.840.10008.1.3.10", 512
 #: Suffixes of medical images that are also written: neither DICOM, nor formats with two files.
 _WRITTEN = (".nii.gz", ".nii", ".mha", ".nrrd")
 
@@ -320,7 +319,7 @@ def _unreadable(source: Path, reason: str = "") -> FileFormatError:
             f"{source.name}: it is a saved result, not an image. Give an image, or use the result "
             "with export, apply, measure or play."
         )
-    if _is_contents(source):
+    if is_contents(source):
         return FileFormatError(
             f"{source.name}: it is the table of contents of DICOM files, without pixels. Give a "
             "folder with the files of one series, which are in folders beside it."
@@ -364,23 +363,7 @@ def is_scan(path: str | os.PathLike[str]) -> bool:
     source = Path(path)
     if not source.is_dir():
         return source.name.lower().endswith((*MEDICAL_SUFFIXES, "dicomdir"))
-    return any(_is_dicom(each) for each in sorted(source.iterdir()) if each.is_file())
-
-
-def _is_dicom(file: Path) -> bool:
-    return _dicom_start(file) != b""
-
-
-def _is_contents(file: Path) -> bool:
-    """Return whether a file is the table of contents of DICOM files, usually named DICOMDIR."""
-    return _CONTENTS in _dicom_start(file)
-
-
-def _dicom_start(file: Path) -> bytes:
-    """Return the start of a DICOM file, with the type of its content; b"" for other files."""
-    with open(file, "rb") as stream:
-        start = stream.read(_START)
-    return start if start[128:132] == b"DICM" else b""
+    return any(is_dicom(each) for each in sorted(source.iterdir()) if each.is_file())
 
 
 def write_image(path: str | os.PathLike[str], image: ImageFile) -> Path:

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from napari_hmrf.field.units import unit_factor
 from napari_hmrf.geometry import Geometry
 from napari_hmrf.io.decoded import CUT_SHORT, Decoded, Unreadable, check_size, missing_package
-from napari_hmrf.io.dicom_slices import Slice, check_frames, ordered, refuse_damaged
+from napari_hmrf.io.dicom_slices import Slice, check_frames, is_dicom, ordered, refuse_damaged
 
 #: ITK's readers by suffix. Without a name, ITK tries all its readers.
 READERS = {
@@ -193,6 +193,8 @@ def _image(image: Any) -> Decoded:
 def _checked_reader(path: Path, suffix: str = "") -> tuple[Any, float]:
     """Return a reader whose file can contain its pixels, and its unit of length in mm."""
     sitk, suffix, unit = _simpleitk(), suffix or path.suffix.lower(), 1.0
+    if suffix not in READERS and is_dicom(path):  # files on a CD have no suffix
+        suffix = ".dcm"
     if suffix == ".dcm":
         check_frames(path)
     fields, end = _text_header(path) if suffix in (*_NRRD, *_META) else ({}, 0)

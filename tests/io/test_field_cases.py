@@ -157,8 +157,9 @@ def write_truncated(folder, number):
 
 
 def write_without_size(path):
-    write_slice(path, (0, 0, 0))
-    path.write_bytes(path.read_bytes().replace(b"\x28\x00\x30\x00", b"\x28\x00\x34\x00"))
+    written = path.with_suffix(".dcm")
+    write_slice(written, (0, 0, 0))
+    path.write_bytes(written.read_bytes().replace(b"\x28\x00\x30\x00", b"\x28\x00\x34\x00"))
 
 
 def write_slopes(path):
@@ -194,6 +195,7 @@ REFUSED = {
     "a truncated slice": ("ct", lambda p: write_truncated(p, 3), "s3.dcm is damaged"),
     "a truncated last slice": ("ct", lambda p: write_truncated(p, 5), "s5.dcm is damaged"),
     "no pixel size": ("a.dcm", lambda p: write_without_size(p), "size of its pixels"),
+    "no size, no suffix": ("IM1", lambda p: write_without_size(p), "size of its pixels"),
     "different slopes": ("a.dcm", lambda p: write_slopes(p), "different rescale slopes"),
     "frames without order": ("a.dcm", lambda p: write_frames(p, (0, 6, 3, 9)), "order"),
     "frames in one place": ("a.dcm", lambda p: write_frames(p, (0, 3, 3, 6)), "position"),
@@ -244,7 +246,7 @@ def test_an_image_is_refused_with_its_reason(tmp_path, capsys, name, write, reas
     command = ["solve", path, "--hold-edge", "-o", tmp_path / "out"]
     said = [refused(command, capsys)]
     reads = [Grid.from_image]
-    is_scan_name = name not in ("a.mgz", "a.tif", "a.npz")  # others read these
+    is_scan_name = name not in ("a.mgz", "a.tif", "a.npz", "IM1")  # others read these
     reads += [open_scan(str(path))] * is_scan_name
     reads += [read_field] * (reason == "right angles") + [read_label_names] * (reason == "2 layers")
     for read in reads:
