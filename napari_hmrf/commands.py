@@ -16,6 +16,7 @@ from napari_hmrf.io.case_options import (
     Image,
     LabelledImage,
     RegistrationCase,
+    Resampling,
     Table,
 )
 from napari_hmrf.samples import PhantomName
@@ -185,7 +186,7 @@ class Export(Writing):
 
 
 @dataclass(frozen=True)
-class Apply(Writing):
+class Apply(Resampling, Writing):
     """Deform images, labels or landmarks with a displacement field.
 
     Attributes
@@ -211,7 +212,7 @@ class Apply(Writing):
 
 
 @dataclass(frozen=True)
-class Measure(Writing):
+class Measure(Resampling, Writing):
     """Print the displacement, change in size and strain of each tissue.
 
     Attributes
@@ -388,6 +389,31 @@ class Materials(Writing):
 
 
 @dataclass(frozen=True)
+class Resample(Writing):
+    """Resample images whose axes are not at right angles, as of a tilted gantry.
+
+    All commands, and napari, can read the written files.
+
+    Attributes
+    ----------
+    files : Path
+        Images, or folders with a DICOM series.
+    labels : bool
+        Treat the images as labels, without interpolation.
+    out : Path
+        Folder for the resampled files.
+
+    Examples
+    --------
+    napari-hmrf resample ct -o resampled
+    """
+
+    files: tuple[Image, ...]
+    labels: Flag = False
+    out: Folder = Path("resampled")
+
+
+@dataclass(frozen=True)
 class Batch:
     """Solve the cases in a table, in several processes or on several machines.
 
@@ -470,5 +496,5 @@ class Truth(LabelledImage, Writing, Solving):
 #: Commands in the order of the help.
 COMMANDS = (
     *(Demo, Selftest, Solve, Register, Export, Apply, Measure, Uncertainty, Fit, Play, Replay),
-    *(Materials, Batch, Truth),
+    *(Materials, Resample, Batch, Truth),
 )

@@ -21,6 +21,10 @@ SAME = 0.25
 _ROUNDING = 1e-5
 #: Largest shift of a pixel to a grid at right angles, in pixels: directions are rounded in files.
 _STRAIGHT = 0.1
+#: Largest part of a border pixel that a covering grid leaves out because of rounding in files.
+_CUT = 0.01
+#: Smallest sine of the angle between an axis and the others in a grid that can be resampled.
+_STEEP = 0.5
 
 
 def is_orthogonal(matrix: Float64Array) -> bool:
@@ -124,8 +128,7 @@ class Geometry:
         Raises
         ------
         ValueError
-            If a pixel would be shifted by more than rounding in a file; the message is a clause
-            with a remedy.
+            If a pixel would be shifted by more than rounding in a file; the message is a clause.
         """
         if is_orthogonal(self.directions):
             return self
@@ -136,12 +139,37 @@ class Geometry:
         nearest = replace(self, affine=affine)
         shift = nearest.farthest_from(self) / min(self.spacing)
         if shift > _STRAIGHT:
+            cosines = self.directions.T @ self.directions - np.eye(n)
+            tilt = math.degrees(math.asin(min(np.abs(cosines).max(), 1.0)))
             raise ValueError(
                 f"its axes are not at right angles: pixels are shifted by up to {shift:.3g} pixels,"
-                " as in scans with a tilted gantry. Resample it to a grid with right angles, for "
-                "example with nibabel.processing.resample_to_output(image)"
+                f" as by a gantry tilt of {tilt:.3g} degrees"
             )
         return nearest
+
+    def covering(self) -> Geometry:
+        """Return the grid at right angles that covers this grid, with the same rows and slices.
+
+        The last axis keeps its direction and the others become perpendicular to it, so that pixels
+        are shifted within their slice only, and slices keep their distance.
+
+        Raises
+        ------
+        ValueError
+            If an axis is less than 30 degrees from the others; the message is a clause.
+        """
+        n = self.ndim
+        turn, steps = np.linalg.qr(self.affine[:n, n - 1 :: -1])
+        if (np.abs(np.diag(steps)) < _STEEP * np.linalg.norm(steps, axis=0)).any():
+            raise ValueError("one of its axes is less than 30 degrees from the others")
+        affine = self.affine.copy()
+        affine[:n, :n] = (turn * np.diag(steps))[:, ::-1]
+        grid = Geometry(self.shape, affine, self.unit)
+        corners = grid.to_pixels(self.to_world(self._corners))
+        first = np.floor(corners.min(axis=0) + _CUT)
+        sizes = np.ceil(corners.max(axis=0) - _CUT) - first + 1
+        affine[:n, n] = grid.to_world(first)
+        return replace(grid, shape=tuple(sizes.astype(int).tolist()))
 
     def to_world(self, pixels: npt.ArrayLike) -> Float64Array:
         """Convert points, shape (..., n), from pixels of the grid to positions."""

@@ -26,7 +26,7 @@ from napari_hmrf.io.case import energy_of, solve_case
 from napari_hmrf.io.case_options import Case, LabelledImage
 from napari_hmrf.io.case_tables import read_cases
 from napari_hmrf.io.fit_files import fit_file
-from napari_hmrf.io.images import read_image
+from napari_hmrf.io.images import read_image, result_suffix, stem_of, write_image
 from napari_hmrf.io.moving_pictures import write_movie
 from napari_hmrf.io.overwriting import refuse_overwriting
 from napari_hmrf.io.registration_files import register_files
@@ -126,15 +126,9 @@ def _export(options: commands.Export) -> int:
 
 @run.register
 def _apply(options: commands.Apply) -> int:
-    names = [file.name for file in options.files]
-    duplicate = next((name for name in names if names.count(name) > 1), None)
-    if duplicate is not None:
-        raise HmrfError(
-            f"{duplicate} is the name of two files, so one result would overwrite the other. "
-            "Use a separate command for each file, with different --out folders."
-        )
+    moved = [options.out / file.name for file in options.files]
+    _refuse_duplicates(moved)
     if options.out.is_dir():
-        moved = [options.out / name for name in names]
         # If source and target are the same file, `apply_field` raises a more specific error.
         same = [
             source.samefile(target)
@@ -150,7 +144,13 @@ def _apply(options: commands.Apply) -> int:
     failed = 0
     for file in options.files:
         try:
-            written = apply_field(field, file, options.out / file.name, labels=options.labels)
+            written = apply_field(
+                field,
+                file,
+                options.out / file.name,
+                labels=options.labels,
+                resample=options.resample,
+            )
             print(f"written: {written.path}", flush=True)
             if written.note:
                 _note(written.note)
@@ -158,6 +158,15 @@ def _apply(options: commands.Apply) -> int:
             failed += 1
             _report(f"napari-hmrf: {_in_shell(in_words(error))}")
     return int(failed > 0)
+
+
+def _refuse_duplicates(targets: Sequence[Path]) -> None:
+    duplicate = next((each.name for each in targets if targets.count(each) > 1), None)
+    if duplicate is not None:
+        raise HmrfError(
+            f"{duplicate} is the name of two files, so one result would overwrite the other. "
+            "Use a separate command for each file, with different --out folders."
+        )
 
 
 @run.register
@@ -201,14 +210,18 @@ def _measure(options: commands.Measure) -> int:
         refuse_overwriting([options.out], overwrite=options.force)
     with _shown_progress() as progress:
         measurement = measured(
-            options.result, options.labels, uncertainty=options.uncertainty, progress=progress
+            options.result,
+            options.labels,
+            uncertainty=options.uncertainty,
+            resample=options.resample,
+            progress=progress,
         )
     rows, is_volume = measurement.rows, measurement.of_volume
     titles, cells = measurement_table(rows, volume=is_volume)
     table = DataFrame(cells, columns=titles)
     print(table.to_string(index=False, float_format=_format_number))
-    if measurement.note:
-        print(f"note: {measurement.note}")
+    for note in measurement.notes:
+        _note(note)
     if options.out is not None:
         path = write_measurements(options.out, rows, measurement.unit, volume=is_volume)
         print(f"written: {path}")
@@ -342,6 +355,21 @@ def _register(options: commands.Register) -> int:
         _note(note)
     written = ", ".join(sorted(path.name for path in options.out.iterdir()))
     print(f"in {options.out}: {written}")
+    return 0
+
+
+@run.register
+def _resample(options: commands.Resample) -> int:
+    targets = [options.out / f"{stem_of(each)}{result_suffix(each)}" for each in options.files]
+    _refuse_duplicates(targets)
+    refuse_overwriting(targets, overwrite=options.force)
+    for file, target in zip(options.files, targets, strict=True):
+        image = read_image(file, resample=True, labels=options.labels)
+        if not image.resampled:
+            raise HmrfError(f"the axes of {file.name} are at right angles. Use it as it is.")
+        target.parent.mkdir(parents=True, exist_ok=True)
+        print(f"written: {write_image(target, image)}", flush=True)
+        _note(image.resampled)
     return 0
 
 

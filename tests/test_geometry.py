@@ -97,3 +97,21 @@ def test_axes_are_straightened_up_to_rounding(grid):
     sheared[:, 0] += 0.2 * sheared[:, 1]
     with pytest.raises(ValueError, match="right angles"):
         Geometry(SHAPE, sheared).right_angled()
+
+
+def test_a_covering_grid_keeps_rows_and_slices(grid):
+    affine = grid.affine.copy()
+    affine[:, 0] += 0.6 * affine[:, 1] - 0.3 * affine[:, 2]
+    sheared = Geometry(SHAPE, affine)
+    covering = sheared.covering()
+    assert covering.right_angled() is covering
+    assert covering.spacing == pytest.approx(SPACING)
+    corners = [*itertools.product(*((0, size - 1) for size in SHAPE))]
+    at = covering.to_pixels(sheared.to_world(corners))
+    np.testing.assert_allclose(at[:, 0], np.array(corners)[:, 0], atol=1e-9)
+    assert (at.min(axis=0) > -0.02).all()
+    assert (at.max(axis=0) < np.array(covering.shape) - 0.98).all()
+    assert covering.shape == (4, 7, 7)
+    affine[:, 1] = affine[:, 2] + 0.1 * affine[:, 1]
+    with pytest.raises(ValueError, match="30 degrees"):
+        Geometry(SHAPE, affine).covering()

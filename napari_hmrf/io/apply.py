@@ -29,7 +29,7 @@ from napari_hmrf.io.landmark_files import (
     read_points,
     write_points,
 )
-from napari_hmrf.io.landmark_frames import geometry_for
+from napari_hmrf.io.landmark_frames import geometry_for, refuse_stored_axes
 from napari_hmrf.io.study_file import is_study_file, read_solved
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.real_arrays import whole_numbers
@@ -218,7 +218,12 @@ def _note_on_place(field: FieldFile) -> str:
 
 
 def apply_field(
-    field: FieldFile, path: str | os.PathLike[str], target: str | os.PathLike[str], *, labels: bool
+    field: FieldFile,
+    path: str | os.PathLike[str],
+    target: str | os.PathLike[str],
+    *,
+    labels: bool,
+    resample: bool = False,
 ) -> Applied:
     """Deform the image or landmarks in a file, and write the result to another file.
 
@@ -235,6 +240,8 @@ def apply_field(
         File to write, in the same format.
     labels : bool
         True if the image contains labels, which must not be interpolated.
+    resample : bool
+        True to resample an image whose axes are not at right angles.
 
     Raises
     ------
@@ -249,14 +256,16 @@ def apply_field(
     if Path(target).exists() and Path(target).samefile(path):
         raise ProblemError(name, "would be overwritten. Choose another folder for the moved files.")
     if name.lower().endswith(POINT_SUFFIXES):
-        return _move_landmarks(field, path, target)
-    image, n = read_image(path), len(field.shape)
+        return _move_landmarks(field, path, target, resample)
+    image = read_image(path, resample=resample, labels=labels)
+    n, straightened = len(field.shape), image.resampled
     if labels:
         whole_numbers(name, image.pixels)
     order = 0 if labels else 1
     blended = "" if labels else _note_on_labels(image.pixels, name)
     if n == 2 and image.is_of_volume and (image.ndim == 3 or field.geometry.ndim == 3):
-        return Applied(write_image(target, _move_slice(field, image, name, order)), blended)
+        moved_slice = write_image(target, _move_slice(field, image, name, order))
+        return Applied(moved_slice, "; ".join(filter(None, (straightened, blended))))
     if n == 3:
         image = image.laid_as(field.in_patient, field.file_axes)
     pixels = image.pixels
@@ -282,7 +291,7 @@ def apply_field(
                 f"{name} has no position in world coordinates, so all {len(pixels)} slices were "
                 "moved in the same way"
             )
-    notes = filter(None, (note, blended, unknown_values(pixels, image.ndim, name)))
+    notes = filter(None, (straightened, note, blended, unknown_values(pixels, image.ndim, name)))
     image = image._replace(pixels=moved)
     if n == 3 and image.geometry is None:
         image = image.laid_as(None, tuple(np.argsort(field.file_axes).tolist()))
@@ -405,9 +414,14 @@ def _find_slice(of_slice: Geometry, image: ImageFile) -> int | None:
 
 
 def _move_landmarks(
-    field: FieldFile, path: str | os.PathLike[str], target: str | os.PathLike[str]
+    field: FieldFile,
+    path: str | os.PathLike[str],
+    target: str | os.PathLike[str],
+    resample: bool,
 ) -> Applied:
     file, name, n = read_points(path), Path(path).name, len(field.shape)
+    if resample:
+        refuse_stored_axes(file, name)
     geometry, points = field.geometry, file.points
     # BigWarp's coordinates are in the unit of the image.
     geometry = geometry if file.unit else geometry.scaled(1 / field.unit_length)

@@ -92,7 +92,7 @@ def read_case(case: Case) -> Study:
         return read_study(case.image).study
     if case.slice is None:
         require_memory(shape_of(case.image), STUDY, case.image.name)
-    whole = read_picture_as(case.image, case.spacing)
+    whole = read_picture_as(case.image, case.spacing, case.resample)
     _refuse_unused(case, whole.ndim == 2)
     image = _part(whole, case)
     image.refuse_as_volume(case.image.name)
@@ -102,7 +102,7 @@ def read_case(case: Case) -> Study:
     if case.maps:
         labels, scale = _most_likely(case, whole)
     materials, unit, notes = _materials(case.materials, labels)
-    notes = (*notes, *filter(None, [scale_in_words(scale)]))
+    notes = (*filter(None, [whole.resampled]), *notes, *filter(None, [scale_in_words(scale)]))
     motion = replace(
         _motion(case, grid, whole),
         hold_edge=case.hold_edge,
@@ -435,7 +435,7 @@ def _most_likely(case: Case, whole: ImageFile) -> tuple[npt.NDArray[np.integer],
         name = path.name if names.count(path.name) == 1 else str(path)
         if name in maps:
             raise ProblemError(name, "is given twice in --maps. Give it once.")
-        image = read_image(path)
+        image = read_image(path, resample=case.resample)
         maps[name], ranges[name] = _on_pixels(case, path, whole, image), MapRange.of(image.pixels)
     scale = scale_of(ranges, fix="")
     return most_likely(maps, scale), scale
@@ -443,7 +443,8 @@ def _most_likely(case: Case, whole: ImageFile) -> tuple[npt.NDArray[np.integer],
 
 def _pixels(case: Case, path: Path, whole: ImageFile, labels: bool = False) -> npt.NDArray[Any]:
     """Return the pixels of a grey or label image; for a volume, the pixels of the case's slice."""
-    pixels = _on_pixels(case, path, whole, read_image(path))
+    image = read_image(path, resample=case.resample, labels=labels)
+    pixels = _on_pixels(case, path, whole, image)
     return as_labels(pixels, path) if labels else pixels
 
 

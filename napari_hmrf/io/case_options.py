@@ -28,6 +28,20 @@ WORDS_AS_FLAGS = {"flags": True}
 
 
 @dataclass(frozen=True, kw_only=True)
+class Resampling:
+    """Reading of images whose axes are not at right angles.
+
+    Attributes
+    ----------
+    resample : bool
+        Resample images whose axes are not at right angles, as of a tilted gantry, to a grid at
+        right angles: linearly, or labels to the nearest pixel. By default, they are refused.
+    """
+
+    resample: Flag = False
+
+
+@dataclass(frozen=True, kw_only=True)
 class TissueFiles:
     """Files that define the tissue of each pixel.
 
@@ -66,7 +80,7 @@ class LabelledImage(TissueFiles):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Case(LabelledImage):
+class Case(Resampling, LabelledImage):
     """Input files and options of a case.
 
     The image, its slice and its tissue are given as in `LabelledImage` and `TissueFiles`. Paths can
@@ -167,7 +181,7 @@ class Case(LabelledImage):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RegistrationCase(TissueFiles):
+class RegistrationCase(Resampling, TissueFiles):
     """Input files and options of a registration.
 
     Attributes

@@ -208,7 +208,7 @@ def _slices(image: Path) -> int:
     If the image cannot be read, the error is reported when the case is solved.
     """
     try:
-        file = read_image(image)
+        file = read_image(image, resample=True)  # keeps the number of slices
     except (HmrfError, OSError):
         return 1
     return len(file.pixels) if file.ndim == 3 else 1

@@ -13,6 +13,8 @@ import numpy.typing as npt
 
 from napari_hmrf.io.decoded import Unreadable
 
+Step = npt.NDArray[np.float64]
+
 #: Largest distance between a pixel and its place on a regular grid, in pixels.
 _OFF = 0.1
 #: Largest difference between the cosines of two directions that are considered equal.
@@ -64,13 +66,13 @@ def _start_of(file: Path) -> bytes:
     return start if start[128:132] == b"DICM" else b""
 
 
-def ordered(slices: list[Slice]) -> list[Slice]:
-    """Return the slices of a volume in the order of their positions.
+def ordered(slices: list[Slice]) -> tuple[list[Slice], Step | None]:
+    """Return the slices of a volume in the order of their positions, and the step of a tilt.
 
     Raises
     ------
     Unreadable
-        If the slices are not those of one volume on a regular grid at right angles.
+        If the slices are not those of one volume on a regular grid.
     """
     if any(math.prod(each.size[2:]) > 1 for each in slices):
         raise Unreadable("the folder contains files of several frames. Give one of these files")
@@ -83,8 +85,8 @@ def ordered(slices: list[Slice]) -> list[Slice]:
     normal = slices[0].direction[2::3]
     slices = sorted(slices, key=lambda each: float(np.dot(normal, each.origin or ())))
     names = [each.name for each in slices]
-    check_regular([each.origin or () for each in slices], normal, slices[0].spacing, names)
-    return slices
+    positions = [each.origin or () for each in slices]
+    return slices, tilted_step(positions, normal, slices[0].spacing, names)
 
 
 def _check_alike(slices: list[Slice]) -> None:
@@ -113,13 +115,15 @@ def _check_alike(slices: list[Slice]) -> None:
         )
 
 
-def check_regular(
+def tilted_step(
     positions: Sequence[Sequence[float]],
     normal: npt.ArrayLike,
     spacing: Sequence[float],
     names: Sequence[str],
-) -> None:
-    """Raise an error if slices are not one above the other, at equal distances.
+) -> Step | None:
+    """Return the step from a slice to the next if slices are shifted along each other.
+
+    ITK ignores this shift of a tilted gantry.
 
     Parameters
     ----------
@@ -132,10 +136,15 @@ def check_regular(
     names : sequence of str
         Names of the slices, for messages.
 
+    Returns
+    -------
+    ndarray, shape (3,), or None
+        Step along x, y, z of LPS; None if the slices are one above the other.
+
     Raises
     ------
     Unreadable
-        If slices share a position, are missing, or are shifted along each other.
+        If slices share a position, or are missing.
     """
     depths = np.asarray(positions) @ normal
     steps = np.diff(depths)
@@ -155,18 +164,18 @@ def check_regular(
             "resample the volume to equal distances"
         )
     across = np.subtract(positions[-1], positions[0])
-    depth = abs(across @ normal)
     shift = float(np.linalg.norm(across - (across @ normal) * np.asarray(normal)))
-    if shift > _OFF * min(spacing[:2]):
-        raise Unreadable(
-            f"its slices are shifted along each other, by {shift:.3g} mm from the first to the "
-            f"last (a gantry tilt of {math.degrees(math.atan2(shift, depth)):.3g} degrees). "
-            "Convert it with dcm2niix, which corrects the tilt, and give the corrected file"
-        )
+    return across / (len(positions) - 1) if shift > _OFF * min(spacing[:2]) else None
 
 
-def check_frames(source: Path) -> None:
-    """Raise an error if the frames of a DICOM file are not the slices of a volume in order."""
+def tilt_of_frames(source: Path) -> Step | None:
+    """Return the step from a frame of a DICOM file to the next, as `tilted_step` does.
+
+    Raises
+    ------
+    Unreadable
+        If the frames are not the slices of a volume in order.
+    """
     header = source.read_bytes().partition(_PIXELS)[0]
     if _TIMES.search(header):
         raise Unreadable(
@@ -183,11 +192,11 @@ def check_frames(source: Path) -> None:
             for found in (_FRAME_POSITIONS, _FRAME_DIRECTIONS, _FRAME_COUNT)
         )
     except ValueError:
-        return  # the bytes have another meaning
+        return None  # the bytes have another meaning
     across = directions[0] if directions else [1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
     is_volume = len(positions) > 1 and [len(positions)] in counts
     if not is_volume or len(across) != 6 or any(len(at) != 3 for at in positions):
-        return
+        return None
     normal = np.cross(across[:3], across[3:])
     steps = np.diff(np.asarray(positions) @ normal)
     if steps.min() < 0 < steps.max():
@@ -196,7 +205,7 @@ def check_frames(source: Path) -> None:
             "which sorts them"
         )
     names = [f"frame {number}" for number in range(1, len(positions) + 1)]
-    check_regular(positions, normal, (1.0, 1.0), names)
+    return tilted_step(positions, normal, (1.0, 1.0), names)
 
 
 def refuse_damaged(folder: Path, series: str, names: Sequence[str]) -> None:

@@ -242,6 +242,12 @@ def read_field(path: str | os.PathLike[str], *, forward: bool = False) -> Field:
         image = read_itk_vectors(source)
     except Unreadable as error:
         raise FileFormatError(_not_a_field(source, error)) from None
+    try:
+        geometry = image.geometry.right_angled()
+    except ValueError as error:
+        raise FileFormatError(
+            f"{_not_a_field(source, error)} Compute the field on a grid at right angles."
+        ) from None
     field_type = _stated_type(image.metadata) or (_FORWARD if forward else _BACKWARD)
     n, vectors = image.ndim, image.pixels
     if n == 4 and image.components == 1:
@@ -259,7 +265,6 @@ def read_field(path: str | os.PathLike[str], *, forward: bool = False) -> Field:
         vectors = vectors.astype(np.float64)
     if not np.isfinite(vectors).all():
         raise FileFormatError(f"{source.name}: the field contains NaN or infinite values.")
-    geometry = image.geometry
     along = (vectors @ geometry.direction.astype(vectors.dtype))[..., ::-1]
     return Field(along, geometry, back=field_type != _FORWARD)
 
@@ -373,7 +378,7 @@ def export_field(
     )
 
 
-def _not_a_field(source: Path, error: Unreadable) -> str:
+def _not_a_field(source: Path, error: Exception) -> str:
     """Return the error message for a file without a readable field, with the reason if known."""
     reason = f": {error}" if str(error) else ""
     return f"{source.name}: not a displacement field that can be read{reason}."

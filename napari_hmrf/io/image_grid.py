@@ -114,7 +114,11 @@ def _right_angled(geometry: Geometry) -> Geometry:
     try:
         return geometry.right_angled()
     except ValueError as error:
-        raise ProblemError("image", f"is no grid of pixels: {error}.") from None
+        raise ProblemError(
+            "image",
+            f"is no grid of pixels: {error}. Resample it, for example with "
+            "nibabel.processing.resample_to_output(image), or its file with napari-hmrf resample.",
+        ) from None
 
 
 def _of_simpleitk(image: Any) -> Geometry:

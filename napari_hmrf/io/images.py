@@ -26,7 +26,9 @@ from napari_hmrf.geometry import Geometry
 from napari_hmrf.io.decoded import Decoded, Unreadable
 from napari_hmrf.io.dicom_slices import is_contents, is_dicom
 from napari_hmrf.io.itk_files import encode, itk_shape, read_itk_image, read_itk_series
+from napari_hmrf.io.itk_reader import resampled
 from napari_hmrf.regular_file import refuse_irregular
+from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import is_solution_file
 
 #: Axes of .tif files that are not axes of space, with their content, and the unit of OME's sizes.
@@ -70,6 +72,8 @@ class ImageFile(NamedTuple):
         Unit of `sizes`.
     order : tuple of int
         Axis of the file for each axis of the volume, if its axes were reordered.
+    resampled : str
+        Note, a clause, on the grid to which the pixels were resampled; "" for those of the file.
     """
 
     pixels: npt.NDArray[Any]
@@ -79,6 +83,7 @@ class ImageFile(NamedTuple):
     sizes: tuple[float, ...] = ()
     unit: str = "pixel"
     order: tuple[int, ...] = ()
+    resampled: str = ""
 
     @property
     def pixels_in_place(self) -> npt.NDArray[Any]:
@@ -129,6 +134,7 @@ class ImageFile(NamedTuple):
             self.geometry.reordered(order),
             self.colours,
             order=() if order == (0, 1, 2) else order,
+            resampled=self.resampled,
         )
 
     def laid_as(
@@ -234,7 +240,9 @@ class ImageFile(NamedTuple):
         return self.pixels.ndim - self.colours
 
 
-def read_image(path: str | os.PathLike[str]) -> ImageFile:
+def read_image(
+    path: str | os.PathLike[str], *, resample: bool = False, labels: bool = False
+) -> ImageFile:
     """Read an image file, or a folder with the DICOM files of one series.
 
     A volume with a single slice is returned as a 2-D image with its place in the volume.
@@ -242,6 +250,10 @@ def read_image(path: str | os.PathLike[str]) -> ImageFile:
     Parameters
     ----------
     path : str or path-like
+    resample : bool
+        True to resample an image whose axes are not at right angles, which is refused by default.
+    labels : bool
+        True if the image contains labels, which must not be interpolated.
 
     Returns
     -------
@@ -290,8 +302,35 @@ def read_image(path: str | os.PathLike[str]) -> ImageFile:
         raise FileFormatError(
             f"{source.name}: the file contains a displacement field. Give an image instead."
         )
+    image, note = _at_right_angles(image, source.name, resample, labels)
     is_slice = n == 3 and len(pixels) == 1
-    return ImageFile(pixels[0] if is_slice else pixels, image.geometry, count > 1)
+    pixels = image.pixels[0] if is_slice else image.pixels
+    return ImageFile(pixels, image.geometry, count > 1, resampled=note)
+
+
+def _at_right_angles(
+    image: Decoded, name: str, resample: bool, labels: bool
+) -> tuple[Decoded, str]:
+    """Return an image on a grid at right angles, and a note if it was resampled."""
+    try:
+        return image._replace(geometry=image.geometry.right_angled()), ""
+    except ValueError as error:
+        reason = str(error)
+    if not resample:
+        raise FileFormatError(
+            f"{name}: {reason}. Resample it: napari-hmrf resample {name} -o resampled. The "
+            "commands solve, register, apply and measure also do so with --resample."
+        )
+    try:
+        grid = image.geometry.covering()
+    except ValueError as error:
+        raise FileFormatError(f"{name}: cannot be resampled: {error}.") from None
+    outside = "0" if labels else "its smallest value"
+    return resampled(image, grid, labels=labels), (
+        f"{name} was resampled from {grid_in_words(image.geometry.shape)} to "
+        f"{grid_in_words(grid.shape)} pixels, on a grid at right angles of "
+        f"{grid_in_words(grid.spacing)} mm, and filled with {outside} outside: {reason}"
+    )
 
 
 def shape_of(path: str | os.PathLike[str]) -> tuple[int, ...]:
@@ -501,7 +540,9 @@ def length_unit(name: str) -> str:
 
 
 def read_picture_as(
-    path: str | os.PathLike[str], spacing: tuple[tuple[float, ...], str] | None
+    path: str | os.PathLike[str],
+    spacing: tuple[tuple[float, ...], str] | None,
+    resample: bool = False,
 ) -> ImageFile:
     """Read an image, and give the pixels of a picture a size.
 
@@ -510,6 +551,8 @@ def read_picture_as(
     path : str or path-like
     spacing : (tuple of float, str) or None
         Size of a pixel along each axis of the file, and its unit; None for the size in the file.
+    resample : bool
+        As for `read_image`.
 
     Raises
     ------
@@ -519,7 +562,7 @@ def read_picture_as(
     OSError
         If the file cannot be opened.
     """
-    image, name = read_image(path), Path(path).name
+    image, name = read_image(path, resample=resample), Path(path).name
     if spacing is None:
         return image
     sizes, unit = spacing

@@ -51,7 +51,7 @@ def read_itk_image(source: Path) -> Decoded:
     """
     _check_openable(source)
     read = read_nifti if is_nifti(source) else partial(_call, itk_reader.read_pixels)
-    return _right_angled(read(source))
+    return read(source)
 
 
 def itk_shape(source: Path) -> tuple[int, ...]:
@@ -78,7 +78,7 @@ def read_itk_series(folder: Path) -> Decoded:
     HmrfError
         If SimpleITK is not installed.
     """
-    return _right_angled(_call(itk_reader.read_series, folder))
+    return _call(itk_reader.read_series, folder)
 
 
 def read_itk_vectors(source: Path) -> Decoded:
@@ -94,7 +94,7 @@ def read_itk_vectors(source: Path) -> Decoded:
     if source.suffix.lower() not in _TRANSFORMS:
         return read_itk_image(source)
     _check_openable(source)
-    return _right_angled(_call(itk_reader.read_transform, source))
+    return _call(itk_reader.read_transform, source)
 
 
 def holds_vectors(source: Path) -> bool:
@@ -203,13 +203,6 @@ def _call(function: Callable[[Path], T], source: Path) -> T:
 
 def _is_robust(source: Path) -> bool:
     return source.suffix.lower() in _ROBUST and not source.is_dir()
-
-
-def _right_angled(image: Decoded) -> Decoded:
-    try:
-        return image._replace(geometry=image.geometry.right_angled())
-    except ValueError as error:
-        raise Unreadable(str(error)) from None
 
 
 def _bytes_in(source: Path) -> int:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import re
 import zlib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,14 @@ import numpy.typing as npt
 from napari_hmrf.field.units import unit_factor
 from napari_hmrf.geometry import Geometry
 from napari_hmrf.io.decoded import CUT_SHORT, Decoded, Unreadable, check_size, missing_package
-from napari_hmrf.io.dicom_slices import Slice, check_frames, is_dicom, ordered, refuse_damaged
+from napari_hmrf.io.dicom_slices import (
+    Slice,
+    Step,
+    is_dicom,
+    ordered,
+    refuse_damaged,
+    tilt_of_frames,
+)
 
 #: ITK's readers by suffix. Without a name, ITK tries all its readers.
 READERS = {
@@ -67,7 +75,7 @@ def read_head(path: Path) -> tuple[tuple[int, ...], bool]:
     Unreadable
         As for `read_pixels`.
     """
-    reader, _ = _checked_reader(path)
+    reader, _ = _checked_reader(path, _suffix_of(path))
     kind = _simpleitk().GetPixelIDValueAsString(reader.GetPixelID())
     is_field = reader.GetNumberOfComponents() == reader.GetDimension() and "float" in kind
     return reader.GetSize()[::-1], is_field
@@ -83,8 +91,10 @@ def read_pixels(path: Path, suffix: str = "") -> Decoded:
     HmrfError
         If SimpleITK is not installed.
     """
+    suffix = suffix or _suffix_of(path)
+    step = tilt_of_frames(path) if suffix == ".dcm" else None
     reader, unit = _checked_reader(path, suffix)
-    image = _image(reader.Execute())
+    image = _tilted(_image(reader.Execute()), step)
     return image._replace(geometry=image.geometry.scaled(unit))
 
 
@@ -144,11 +154,45 @@ def read_series(folder: Path) -> Decoded:
     refuse_damaged(folder, series[0], names)
     if len(names) == 1:
         return read_pixels(Path(names[0]), ".dcm")
-    slices = ordered([*map(_slice, names)])
+    slices, step = ordered([*map(_slice, names)])
     reader.SetFileNames([each.path for each in slices])
     if len({each.rescale for each in slices}) > 1:  # the type of the first slice is too narrow
         reader.SetOutputPixelType(sitk.sitkFloat32)
-    return _image(reader.Execute())
+    return _tilted(_image(reader.Execute()), step)
+
+
+def resampled(image: Decoded, geometry: Geometry, *, labels: bool) -> Decoded:
+    """Resample an image to another grid; pixels outside of it get its smallest value.
+
+    Parameters
+    ----------
+    image : Decoded
+    geometry : Geometry
+    labels : bool
+        True to use the nearest pixel instead of linear interpolation, and 0 outside.
+    """
+    sitk, pixels = _simpleitk(), image.pixels
+    method, fill = sitk.sitkNearestNeighbor, 0.0
+    if not labels:
+        finite = pixels[np.isfinite(pixels)]
+        method, fill = sitk.sitkLinear, float(finite.min()) if finite.size else 0.0
+    is_rounded = not labels and pixels.dtype.kind in "iu"
+    if is_rounded:  # ITK rounds down
+        pixels = pixels.astype(np.float64)
+    moved = sitk.Resample(
+        _itk_image(image._replace(pixels=pixels)),
+        geometry.shape[::-1],
+        sitk.Transform(),
+        method,
+        geometry.origin,
+        geometry.spacing[::-1],
+        geometry.direction.ravel().tolist(),
+        fill,
+    )
+    values = sitk.GetArrayFromImage(moved)
+    if is_rounded:
+        values = np.rint(values).astype(image.pixels.dtype)
+    return image._replace(pixels=values, geometry=geometry)
 
 
 def write(path: Path, image: Decoded, *, transform: bool) -> None:
@@ -162,18 +206,31 @@ def write(path: Path, image: Decoded, *, transform: bool) -> None:
     HmrfError
         If SimpleITK is not installed.
     """
-    sitk = _simpleitk()
-    values = np.ascontiguousarray(image.pixels, image.pixels.dtype.newbyteorder("="))
-    made = sitk.GetImageFromArray(values, isVector=image.components > 1)
-    made.SetSpacing(image.geometry.spacing[::-1])
-    made.SetOrigin(image.geometry.origin)
-    made.SetDirection(image.geometry.direction.ravel().tolist())
+    sitk, made = _simpleitk(), _itk_image(image)
     for key, text in image.metadata.items():
         made.SetMetaData(key, text)
     if transform:
         sitk.WriteTransform(sitk.DisplacementFieldTransform(made), str(path))
     else:
         sitk.WriteImage(made, str(path), useCompression=True)
+
+
+def _itk_image(image: Decoded) -> Any:
+    values = np.ascontiguousarray(image.pixels, image.pixels.dtype.newbyteorder("="))
+    made = _simpleitk().GetImageFromArray(values, isVector=image.components > 1)
+    made.SetSpacing(image.geometry.spacing[::-1])
+    made.SetOrigin(image.geometry.origin)
+    made.SetDirection(image.geometry.direction.ravel().tolist())
+    return made
+
+
+def _tilted(image: Decoded, step: Step | None) -> Decoded:
+    """Return an image with the step from a slice to the next, if ITK ignored a part of it."""
+    if step is None:
+        return image
+    affine = image.geometry.affine.copy()
+    affine[:3, 0] = step[::-1]
+    return image._replace(geometry=replace(image.geometry, affine=affine))
 
 
 def _image(image: Any) -> Decoded:
@@ -190,13 +247,15 @@ def _image(image: Any) -> Decoded:
     return Decoded(pixels, image.GetNumberOfComponentsPerPixel(), geometry, metadata)
 
 
-def _checked_reader(path: Path, suffix: str = "") -> tuple[Any, float]:
+def _suffix_of(path: Path) -> str:
+    """Return the suffix of a file; ".dcm" for a DICOM file without one, as on a CD."""
+    suffix = path.suffix.lower()
+    return ".dcm" if suffix not in READERS and is_dicom(path) else suffix
+
+
+def _checked_reader(path: Path, suffix: str) -> tuple[Any, float]:
     """Return a reader whose file can contain its pixels, and its unit of length in mm."""
-    sitk, suffix, unit = _simpleitk(), suffix or path.suffix.lower(), 1.0
-    if suffix not in READERS and is_dicom(path):  # files on a CD have no suffix
-        suffix = ".dcm"
-    if suffix == ".dcm":
-        check_frames(path)
+    sitk, unit = _simpleitk(), 1.0
     fields, end = _text_header(path) if suffix in (*_NRRD, *_META) else ({}, 0)
     if suffix in _NRRD:
         unit = _unit_of(fields.get("space units", ""))

@@ -46,8 +46,11 @@ def in_pixels(
     Raises
     ------
     ProblemError
-        If the number or the unit of the coordinates is not that of the image.
+        If the number or the unit of the coordinates is not that of the image, or the image was
+        resampled and they are along the axes of its file.
     """
+    if image.resampled:
+        refuse_stored_axes(file, name)
     whole, solved = image.grid, image.laid_out
     if number is not None:
         whole, solved = whole.slice_at(number), image
@@ -60,6 +63,17 @@ def in_pixels(
     elif of_points is not whole:
         at -= [*[number] * (at.shape[1] - 2), 0, 0]
     return at
+
+
+def refuse_stored_axes(file: LandmarkFile, name: str) -> None:
+    """Raise an error for coordinates along the axes of an image file, which was resampled."""
+    if file.unit != "mm":
+        raise ProblemError(
+            name,
+            "has coordinates along the axes of the image, which is resampled. Give positions in "
+            "the patient (.mrk.json or .fcsv of 3D Slicer), or use the image written by "
+            "napari-hmrf resample.",
+        )
 
 
 def geometry_for(file: LandmarkFile, geometry: Geometry, name: str, n: int) -> Geometry:

@@ -241,9 +241,10 @@ class _Pair:
                 materials=case.materials,
                 maps=case.maps,
                 spacing=case.spacing,
+                resample=case.resample,
             )
         )
-        other = read_case(Case(case.moving, spacing=case.spacing))
+        other = read_case(Case(case.moving, spacing=case.spacing, resample=case.resample))
         _refuse_other_dimension(case, study, other)
         growing = [row for row in study.tissue.materials if row.grows]
         if growing:
@@ -258,7 +259,10 @@ class _Pair:
         if tissue.labels is None:
             tissue = Tissue(stiffness=np.ones(study.grid.shape, np.float32))
         study = replace(study, tissue=tissue)
-        masks = _mask(case.fixed, case.mask), _mask(case.moving, case.moving_mask)
+        masks = (
+            _mask(case, case.fixed, case.mask),
+            _mask(case, case.moving, case.moving_mask),
+        )
         positions, notes = relative_place((case.fixed.name, case.moving.name), study, other)
         return cls(
             study,
@@ -270,7 +274,7 @@ class _Pair:
             Ground.of(study).stiffness,
             masks,
             positions,
-            (*study.notes, *notes),
+            (*study.notes, *other.notes, *notes),
         )
 
     @property
@@ -301,11 +305,11 @@ def grey_image(study: Study) -> npt.NDArray[np.float32]:
     return image.astype(np.float32)
 
 
-def _mask(image: Path, mask: Path | None) -> BoolArray | None:
+def _mask(case: RegistrationCase, image: Path, mask: Path | None) -> BoolArray | None:
     """Return a mask on the pixels of an image; None without a file."""
     if mask is None:
         return None
-    labels = read_case(Case(image, labels=mask)).tissue.labels
+    labels = read_case(Case(image, labels=mask, resample=case.resample)).tissue.labels
     assert labels is not None
     if not labels.any():
         raise ProblemError(
@@ -455,7 +459,7 @@ def _landmarks(case: RegistrationCase, pair: _Pair, matrix: Float64Array) -> Lan
     (file, there), name = read_pairs(case.landmarks, case.targets), case.landmarks.name
     n, sizes = len(pair.spacing), np.asarray(pair.spacing)
     points, targets = (
-        in_pixels(file, points, read_picture_as(image, case.spacing), name)[:, -n:]
+        in_pixels(file, points, read_picture_as(image, case.spacing, case.resample), name)[:, -n:]
         for image, points in ((case.fixed, file.points), (case.moving, there))
     )
     if not len(points):

@@ -46,15 +46,15 @@ class Measured(NamedTuple):
         Unit of length.
     of_volume : bool
         True if tissue sizes are volumes, False if they are areas.
-    note : str
-        Reason, as a clause, why the reported strain is not the elastic strain; "" if it is the
-        elastic strain.
+    notes : tuple of str
+        Clauses: how the labels were resampled, and why the reported strain is not the elastic
+        strain.
     """
 
     rows: tuple[Measurement, ...]
     unit: str
     of_volume: bool
-    note: str = ""
+    notes: tuple[str, ...] = ()
 
 
 def measured(
@@ -62,6 +62,7 @@ def measured(
     labels: Path | None = None,
     *,
     uncertainty: bool = False,
+    resample: bool = False,
     backend: str = "auto",
     progress: Progress | None = None,
 ) -> Measured:
@@ -76,6 +77,8 @@ def measured(
         if there are no labels.
     uncertainty : bool
         True to estimate the error bar of the mean displacement of each tissue.
+    resample : bool
+        True to resample a label image whose axes are not at right angles.
     backend, progress
         As for `study_uncertainty`.
 
@@ -92,9 +95,10 @@ def measured(
         refuse_without_study(path, study)
     tissue = None if study is None else study.tissue
     names = {} if tissue is None else {row.label: row.name for row in tissue.materials}
-    image = None if tissue is None else tissue.labels
+    image, resampled = None if tissue is None else tissue.labels, ""
     if labels is not None:
-        image = labels_of(_on_grid(labels, solution), labels)
+        file = read_image(labels, resample=resample, labels=True)
+        image, resampled = labels_of(_on_grid(labels, file, solution), labels), file.resampled
     if image is None:
         image, names = np.ones(solution.tissue.shape, np.int32), {1: "tissue"}
     unit = unit_symbol(Frame.of_solution(solution).unit)
@@ -114,7 +118,8 @@ def measured(
         except ProblemError as error:
             raise HmrfError(f"--uncertainty is not possible for {path.name}: {error}") from error
     rows = solution.measure(image, names=names, uncertainty=found)
-    return Measured(rows, unit, solution.tissue.ndim == 3, strain_note(solution))
+    notes = tuple(filter(None, (resampled, strain_note(solution))))
+    return Measured(rows, unit, solution.tissue.ndim == 3, notes)
 
 
 def refuse_without_study(path: Path, study: Study | None) -> None:
@@ -190,7 +195,9 @@ def estimate_uncertainty(
     study, solution = read_solved(path)
     refuse_without_study(path, study)
     assert study is not None
-    mask = None if within is None else labels_of(_on_grid(within, solution), within)
+    mask = None
+    if within is not None:
+        mask = labels_of(_on_grid(within, read_image(within), solution), within)
     if out is not None:
         refuse_overwriting(uncertainty_paths(out, len(study.grid.shape)), overwrite=overwrite)
     nowhere = np.zeros(study.grid.shape, np.bool_)  # labels are measured by `measured`
@@ -253,17 +260,16 @@ def image_of(path: Path, image: Path | None = None) -> tuple[Solution, npt.NDArr
     study, solution = read_solved(path)
     pixels = None if study is None else study.pictures.image
     if image is not None:
-        pixels = _on_grid(image, solution).pixels
+        pixels = _on_grid(image, read_image(image), solution).pixels
     if pixels is None:
         raise HmrfError(f"{path.name}: the file does not contain the image. Give --image.")
     return solution, pixels
 
 
-def _on_grid(path: Path, solution: Solution) -> ImageFile:
-    """Read an image on the grid of a solution; the axes of a volume are reordered to match."""
+def _on_grid(path: Path, image: ImageFile, solution: Solution) -> ImageFile:
+    """Return an image on the grid of a solution; the axes of a volume are reordered to match."""
     frame = Frame.of_solution(solution)
-    is_placed = solution.frame and frame.unit != "pixel"
-    image, geometry = read_image(path), geometry_of(solution) if is_placed else None
+    geometry = geometry_of(solution) if solution.frame and frame.unit != "pixel" else None
     if solution.tissue.ndim == 3:
         image = image.laid_as(geometry, frame.file_axes or (0, 1, 2))
     elif 1 in image.pixels.shape[: image.ndim]:  # a volume of one slice

@@ -21,12 +21,13 @@ from napari_hmrf import FileFormatError, Grid, HmrfError, ProblemError, read_stu
 from napari_hmrf.cli import main
 from napari_hmrf.contributions import open_landmarks, open_scan
 from napari_hmrf.fields import read_field
+from napari_hmrf.geometry import Geometry
 from napari_hmrf.io import case, itk_files, itk_reader
 from napari_hmrf.io.apply import FieldFile, _note_on_labels, apply_field
 from napari_hmrf.io.case import as_labels, read_case
 from napari_hmrf.io.case_options import Case
 from napari_hmrf.io.decoded import Unreadable
-from napari_hmrf.io.dicom_slices import check_regular
+from napari_hmrf.io.dicom_slices import tilted_step
 from napari_hmrf.io.images import is_scan, read_image, write_image
 from napari_hmrf.io.landmark_files import is_landmark_file
 from napari_hmrf.io.registration_files import relative_place
@@ -258,6 +259,115 @@ def test_an_image_is_refused_with_its_reason(tmp_path, capsys, name, write, reas
         assert reason in message
 
 
+def write_tilted_series(folder, pixels):
+    folder.mkdir()
+    for n, each in enumerate(pixels):
+        write_slice(folder / f"s{n}.dcm", (0, round(0.4 * n, 1), 2 * n), value=each)
+
+
+def write_tilted_frames(path, pixels):
+    sitk.WriteImage(sitk.GetImageFromArray(pixels.astype(np.uint8)), str(path))
+    frames = iter(range(len(pixels)))
+
+    def placed(_):
+        n = next(frames)
+        return b"0\\%d\\%d " % (n, 3 * n)
+
+    path.write_bytes(re.sub(rb"0\\0\\\d ", placed, path.read_bytes()))
+
+
+def write_sheared_nrrd(path, pixels):
+    image = sitk.GetImageFromArray(pixels.astype(np.int16))
+    write_changed(path, rb"0,1\)\n", b"0.4,1)\n", image)
+
+
+#: Images that are resampled on request, functions that write them, and the step along their third
+#: axis in LPS.
+SHEARS = {
+    "a tilted series": ("ct", write_tilted_series, (0, 0.4, 2)),
+    "tilted frames": ("a.dcm", write_tilted_frames, (0, 1, 3)),
+    "a sheared sform": ("a.nii", lambda p, pixels: nifti(p, SHEARED, pixels=pixels), (0, 0.5, -2)),
+    "a sheared NRRD": ("a.nrrd", write_sheared_nrrd, (0, 0.4, 1)),
+}
+
+
+@pytest.mark.parametrize(("name", "write", "step"), SHEARS.values(), ids=SHEARS)
+def test_a_sheared_image_is_resampled_on_request(tmp_path, name, write, step):
+    """A brightness that is linear in the patient stays so."""
+    shape, affine = (4, 6, 7), np.eye(3)
+    affine[:, 0] = step[::-1]
+    if name == "a.nii":  # along right and anterior
+        affine *= -1
+    stored = Geometry(shape, np.block([[affine, np.zeros((3, 1))], [np.zeros(3), 1]]))
+
+    def brightness(geometry):
+        at = geometry.to_world(np.moveaxis(np.indices(geometry.shape), 0, -1))
+        return 60 + at @ (5, 2, 1)
+
+    pixels = np.rint(brightness(stored)).astype(np.int16)
+    write(tmp_path / name, pixels)
+    with pytest.raises(FileFormatError, match=f"napari-hmrf resample {name}"):
+        read_image(tmp_path / name)
+    image, labels = (
+        read_image(tmp_path / name, resample=True, labels=labels) for labels in (False, True)
+    )
+    grid = image.geometry
+    assert grid.right_angled() is grid
+    assert len(grid.shape) == 3
+    places = stored.to_pixels(grid.to_world(np.moveaxis(np.indices(grid.shape), 0, -1)))
+    last = np.array(shape) - 1
+    inside = ((places > -1e-6) & (places < last + 1e-6)).all(axis=-1)
+    outside = ((places < -0.6) | (places > last + 0.6)).any(axis=-1)
+    assert inside.sum() >= pixels.size - 12 * shape[0]
+    np.testing.assert_allclose(image.pixels[inside], brightness(grid)[inside], atol=1)
+    assert (image.pixels[outside] == pixels.min()).all()
+    nearest = np.clip(np.rint(places), 0, last).astype(int)
+    is_clear = inside & (np.abs(places - nearest) < 0.49).all(axis=-1)
+    np.testing.assert_array_equal(labels.pixels[is_clear], pixels[*nearest[is_clear].T])
+    assert (labels.pixels[outside] == 0).all()
+    assert name in image.resampled
+
+
+def test_the_commands_resample_on_request(tmp_path, capsys):
+    """The study of a tilted scan is solved, applied and measured with labels of the same grid."""
+    _, row, col = np.indices((6, 6, 7))
+    disc = np.where(np.hypot(row - 2.5, col - 3) < 2, 200, 100)
+    scan, labels, out = (tmp_path / each for each in ("ct", "labels.nrrd", "out"))
+    write_tilted_series(scan, disc)
+    image = sitk.GetImageFromArray((disc // 100).astype(np.uint8))
+    image.SetSpacing((1, 1, float(np.hypot(0.4, 2))))
+    turn = np.eye(3)
+    turn[:, 2] = np.array((0, 0.4, 2)) / np.hypot(0.4, 2)
+    image.SetDirection(turn.ravel().tolist())
+    sitk.WriteImage(image, str(labels))
+    at, to = tmp_path / "at.mrk.json", tmp_path / "to.mrk.json"
+    write_points(at, np.array([[4.0, 3.0, 3.0]]))
+    write_points(to, np.array([[4.0, 3.0, 3.5]]))
+    ends = ["--boundary", at, "--targets", to, "--hold-edge", "--labels", labels]
+    study, others = out / "ct.study", ["--resample", "--force", "-o", out]
+    assert "napari-hmrf resample ct" in refused(["solve", scan, *ends, "-o", out], capsys)
+    for command in (
+        ["solve", scan, *ends, *others],
+        ["apply", study, labels, "--labels", *others],
+        ["measure", study, "--labels", labels, *others[:-1], out / "table.csv"],
+        ["resample", scan, *others[1:]],
+        ["register", scan, scan, *others[:-1], tmp_path / "found"],
+    ):
+        assert main([str(each) for each in command]) == 0
+        said = capsys.readouterr().out
+        assert said.count("at right angles of 2 x 1 x 1 mm") == 1 + (command[0] == "register")
+    written, moved = (read_image(out / each) for each in ("ct.nrrd", "labels.nrrd"))
+    assert written.geometry.same_as(moved.geometry)
+    assert written.pixels.shape == moved.pixels.shape == (6, 8, 7)
+    assert set(np.unique(moved.pixels)) == {0, 1, 2}
+    np.testing.assert_array_equal(written.pixels, read_study(study).study.pictures.image)
+    (tmp_path / "marks.csv").write_text("a,true,3,3,4,4,3,4\n")
+    command = ["solve", scan, "--boundary", tmp_path / "marks.csv", "--hold-edge", *others]
+    assert "marks.csv: has coordinates along the axes" in refused(command, capsys)
+    command = ["resample", out / "ct.nrrd", *others[1:]]
+    assert "ct.nrrd are at right angles" in refused(command, capsys)
+
+
 def test_a_volume_is_read_in_the_order_of_its_positions_beside_other_files(tmp_path):
     folder = tmp_path / "ct"
     folder.mkdir()
@@ -283,9 +393,9 @@ def test_every_slice_has_its_own_slope(tmp_path):
 
 def test_the_distances_of_slices_may_be_rounded():
     normal, names = (0, 0, 1), [f"s{n}" for n in range(6)]
-    check_regular(along_z(0, 0.6, 1.3, 1.9, 2.5, 3.1), normal, (1, 1), names)
+    tilted_step(along_z(0, 0.6, 1.3, 1.9, 2.5, 3.1), normal, (1, 1), names)
     with pytest.raises(Unreadable, match="s3 and s4"):
-        check_regular(along_z(0, 0.6, 1.2, 1.8, 3.1, 3.7), normal, (1, 1), names)
+        tilted_step(along_z(0, 0.6, 1.2, 1.8, 3.1, 3.7), normal, (1, 1), names)
 
 
 PLACES = {
@@ -305,7 +415,8 @@ def test_an_image_of_nibabel_has_the_place_of_its_file(tmp_path, sform, codes):
     try:
         matrix = np.array(Grid.from_image(path).place.matrix)
     except FileFormatError as error:
-        reason = str(error).partition("image: ")[2]
+        reason = str(error).rpartition("as an image: ")[2]
+        reason = reason.removeprefix("a.nii.gz: ").partition(" Resample")[0].rstrip(".")
         with pytest.raises(ProblemError, match=re.escape(reason)):
             Grid.from_image(image)
         return
