@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import product
 from typing import Annotated, Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationE
 from napari_hmrf.archive import first_fault
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.units import is_unit, unit_factor, unit_symbol
-from napari_hmrf.geometry import SAME, Geometry
+from napari_hmrf.geometry import Geometry
 from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
 
@@ -362,8 +361,13 @@ class Frame:
         to = self.from_pixels_of(other)
         if to is None or len(self.plane) != len(other.plane):
             return False
-        apart = other._corners(shape) @ to.T - self._corners(shape)[:, :-1]
-        return bool(np.abs(apart).max() <= SAME)
+        # Both grids in pixels of this layer, from the first pixel of this slice.
+        sizes, theirs = np.ones(self.ndim, int), np.eye(self.ndim + 1)
+        sizes[list(self.plane)] = shape
+        theirs[:-1, list(self.plane)] = to[:, list(other.plane)]
+        theirs[:-1, -1] = to @ [*other.index, 1.0] - self.index
+        own = Geometry.at_origin(sizes.tolist())
+        return Geometry(own.shape, theirs).same_as(own)
 
     def slice_in(self, other: Frame, sizes: Sequence[int], shape: tuple[int, ...]) -> Frame | None:
         """Return the slice of another layer that covers the same region of the world, or None.
@@ -451,13 +455,6 @@ class Frame:
         world[:, -1] -= matrix[:-1, -1]
         transform: npt.NDArray[np.float64] = np.linalg.inv(matrix[:-1, :-1]) @ world
         return transform
-
-    def _corners(self, shape: tuple[int, ...]) -> npt.NDArray[np.float64]:
-        """Return the corners of a slice with the given shape, in homogeneous pixels."""
-        ends = [*product(*((0, size) for size in shape))]
-        corners = np.tile(np.array([*self.index, 1.0]), (len(ends), 1))
-        corners[:, list(self.plane)] = ends
-        return corners
 
     def as_dict(self) -> dict[str, Any]:
         """Return the frame as a dictionary of JSON types, as in `Solution.frame`."""

@@ -11,14 +11,14 @@ from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from typing import Any
 
+from napari_hmrf.geometry import Geometry
+
 #: Pattern of the names of units in layers. It excludes expressions, which pint may parse slowly.
 _UNIT = re.compile(r"[^\W\d]+( / [^\W\d]+)*")
 #: Fraction of a pixel, or of a per cent, below which a value is displayed as 0.
 UNSEEN = 1e-3
 #: Units of spacings without a known length.
 UNKNOWN_UNITS = ("", "pixel")
-#: Relative tolerance for equal spacings, which allows for rounding in files.
-SAME_SPACING = 1e-4
 
 
 def unit_factor(unit: str, to: str) -> float:
@@ -49,12 +49,18 @@ def unit_name(unit: Any) -> str:
 
 
 def has_same_spacing(
-    spacing: Sequence[float], unit: str, other: Sequence[float], other_unit: str
+    shape: Sequence[int],
+    spacing: Sequence[float],
+    unit: str,
+    other: Sequence[float],
+    other_unit: str,
 ) -> bool:
-    """Return whether two pixels have the same size, up to rounding errors in the files.
+    """Return whether two grids of the same shape have pixels of the same size.
 
     Parameters
     ----------
+    shape : sequence of int
+        Number of pixels along each axis.
     spacing, other : sequence of float
         Sizes of a pixel along each axis.
     unit, other_unit : str
@@ -63,16 +69,13 @@ def has_same_spacing(
     Returns
     -------
     bool
-        True if the sizes are equal; False if they differ or the units cannot be converted.
+        True if the grids, from the same first pixel, are in the same place; see
+        `Geometry.same_as`. False if the units cannot be converted.
     """
     is_known = unit not in UNKNOWN_UNITS and other_unit not in UNKNOWN_UNITS
     factor = unit_factor(unit, other_unit) if is_known else 1.0
-    if len(spacing) != len(other):
-        return False
-    return all(
-        abs(size * factor / needed - 1) <= SAME_SPACING
-        for size, needed in zip(spacing, other, strict=True)
-    )
+    own = Geometry.at_origin(shape, spacing).scaled(factor)
+    return own.same_as(Geometry.at_origin(shape, other))
 
 
 @lru_cache(maxsize=64)

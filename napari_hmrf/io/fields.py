@@ -25,7 +25,7 @@ from napari_hmrf.errors import ArgumentError, FileFormatError, ProblemError
 from napari_hmrf.field.displacement_field import Field
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.inverse_field import inverse_displacement
-from napari_hmrf.field.units import SAME_SPACING, UNKNOWN_UNITS, is_length, unit_factor
+from napari_hmrf.field.units import has_same_spacing, is_length, unit_factor
 from napari_hmrf.field.warp import as_field
 from napari_hmrf.geometry import Geometry, is_orthogonal
 from napari_hmrf.io.decoded import Decoded, Unreadable
@@ -307,18 +307,17 @@ def placed(solution: Solution) -> tuple[npt.NDArray[np.floating], Geometry]:
         As for `geometry_of`; or if the frame of the solution is inconsistent with its spacing or
         its unit.
     """
-    geometry, n = geometry_of(solution), solution.tissue.ndim
-    factors = np.array(geometry.spacing[-n:]) / solution.spacing
-    is_known = solution.unit not in UNKNOWN_UNITS
-    expected = unit_factor(solution.unit, "millimeter") if is_known else factors[0]
-    if solution.frame and not np.allclose(factors, expected, rtol=SAME_SPACING, atol=0):
+    geometry, shape = geometry_of(solution), solution.tissue.shape
+    sizes = geometry.spacing[-len(shape) :]
+    pixels = shape, solution.spacing, solution.unit
+    if solution.frame and not has_same_spacing(*pixels, sizes, geometry.unit):
         raise ProblemError(
             "displacement",
             f"has pixels of {grid_in_words(solution.spacing)} {solution.unit}".rstrip()
-            + f", but its place has pixels of {grid_in_words(geometry.spacing[-n:])} mm. Solve on "
-            "the grid of the image.",
+            + f", but its place has pixels of {grid_in_words(sizes)} mm. Solve on the grid of the "
+            "image.",
         )
-    return solution.displacement * factors, geometry
+    return solution.displacement * (np.array(sizes) / solution.spacing), geometry
 
 
 def export_field(

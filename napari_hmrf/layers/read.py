@@ -15,7 +15,7 @@ from napari_hmrf.field.brightness import edge_confidence
 from napari_hmrf.field.displacement_field import Field
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.observation import arrow_observation
-from napari_hmrf.field.units import SAME_SPACING
+from napari_hmrf.field.units import has_same_spacing
 from napari_hmrf.layers.arrow_layer import NAME as ARROWS
 from napari_hmrf.layers.field_layer import field_layer, field_of, holds_field
 from napari_hmrf.layers.label_colours import boundary_colours
@@ -182,7 +182,7 @@ class _Reader:
         if not sizes:
             return
         seen = [sizes[axis] for axis in plane]
-        if max(seen) > (1 + SAME_SPACING) * min(seen):
+        if not has_same_spacing(self._shape, seen, unit, seen[:1] * len(seen), unit):
             raise LayerError(
                 reference,
                 f"has pixels of {grid_in_words(seen)} {unit} in its file, but napari shows them "

@@ -139,8 +139,8 @@ class Grid:
             )
         # "pixel" is a known unit for a place, but an unknown unit for the grid.
         is_same_kind = (self.unit in UNKNOWN_UNITS) == (place.unit in UNKNOWN_UNITS)
-        sizes = place.spacing
-        if not (is_same_kind and has_same_spacing(self.spacing, self.unit, sizes, place.unit)):
+        pixels, sizes = (self.shape, self.spacing, self.unit), place.spacing
+        if not (is_same_kind and has_same_spacing(*pixels, sizes, place.unit)):
             raise ProblemError(
                 "grid",
                 f"has pixels of {grid_in_words(self.spacing)} {self.unit}, but its place has "
@@ -160,7 +160,7 @@ class Grid:
         if shape != self.shape:
             sizes = grid_in_words(self.shape), grid_in_words(shape)
             difference = f"is {sizes[0]}, but the field is {sizes[1]}"
-        elif not has_same_spacing(solution.spacing, solution.unit, self.spacing, self.unit):
+        elif not has_same_spacing(shape, solution.spacing, solution.unit, self.spacing, self.unit):
             sizes = grid_in_words(self.spacing), grid_in_words(solution.spacing)
             difference = (
                 f"has pixels of {sizes[0]} {self.unit}, but the field has pixels of {sizes[1]} "
