@@ -162,7 +162,7 @@ def read_command(arguments: Sequence[str] | None = None) -> Any:
     try:
         return command(**values_of(command, texts, _option))
     except ArgumentError as error:
-        parser.error(str(error))
+        parser.error(f"{error}.")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -217,21 +217,18 @@ def _slices(image: Path) -> int:
 def _named_case(name: str, cells: dict[str, str], folder: Path, where: str) -> NamedCase:
     texts: dict[str, Any] = {}
     changes: list[Change] = []
-    for title, text in cells.items():
-        kind, _, of = title.partition(":")
-        if of or title == "poisson":
-            try:
-                changes.append(Change(kind, convert(NUMBERS[kind], text, title), of))
-            except ArgumentError as error:
-                raise FileFormatError(f"{where}: {error}.") from None
-        elif title == "maps":
-            texts["maps"] = [part.strip() for part in text.split(";")]
-        elif title != "name":
-            texts["image" if title == "study" else title.replace("-", "_")] = text
     try:
+        for title, text in cells.items():
+            kind, _, of = title.partition(":")
+            if of or title == "poisson":
+                changes.append(Change(kind, convert(NUMBERS[kind], text, title), of))
+            elif title == "maps":
+                texts["maps"] = [part.strip() for part in text.split(";")]
+            elif title != "name":
+                texts["image" if title == "study" else title.replace("-", "_")] = text
         values = values_of(Case, texts, _column)
     except ArgumentError as error:
-        raise FileFormatError(f"{where}: {error}") from None
+        raise FileFormatError(f"{where}: {error}.") from None
     if "study" in cells and "model" in values:
         changes.insert(0, Change("model", values.pop("model")))
     case = Case(**{option: _in_folder(value, folder) for option, value in values.items()})

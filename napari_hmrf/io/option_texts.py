@@ -8,16 +8,16 @@ from functools import cache
 from types import NoneType
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
-from pydantic import BeforeValidator, Field, PlainValidator, ValidationError
+from pydantic import BeforeValidator, Field, PlainValidator
 
-from napari_hmrf.arguments import did_you_mean, shown
+from napari_hmrf.arguments import did_you_mean
 from napari_hmrf.checks import Budget as Budget
 from napari_hmrf.checks import Flag as Flag
 from napari_hmrf.checks import Number as Number
 from napari_hmrf.checks import PerAxis as PerAxis
 from napari_hmrf.checks import Poisson as Poisson
 from napari_hmrf.checks import Positive as Positive
-from napari_hmrf.checks import Words, adapter_of
+from napari_hmrf.checks import Words, convert
 from napari_hmrf.errors import ArgumentError
 from napari_hmrf.field.units import UNKNOWN_UNITS, is_length
 from napari_hmrf.io.images import length_unit
@@ -98,16 +98,13 @@ def words_of(kind: Any) -> dict[str, str]:
 
 
 def _value_of(kind: Any, text: Any, title: str) -> Any:
-    if words := words_of(kind):
-        word = as_word(text)
-        if word not in words:
-            raise ArgumentError(
-                f"{title}: there is no {text!r}.{did_you_mean(word, words)} Choose from "
-                f"{', '.join(words)}."
-            )
-        return words[word]
-    try:
-        return adapter_of(kind).validate_python(text)
-    except ValidationError as error:
-        right = error.errors(include_url=False)[0]["msg"]
-        raise ArgumentError(f"{title} is {shown(text)}. Give {right}.") from None
+    words = words_of(kind)
+    if not words:
+        return convert(kind, text, title)
+    word = as_word(text)
+    if word not in words:
+        raise ArgumentError(
+            f"{title}: there is no {text!r}.{did_you_mean(word, words)} Choose from "
+            f"{', '.join(words)}"
+        )
+    return words[word]
