@@ -16,7 +16,6 @@ with patient coordinates.
 from __future__ import annotations
 
 import csv
-import io
 import json
 import math
 import os
@@ -32,7 +31,7 @@ from napari_hmrf.arguments import checked_path, checked_target, did_you_mean
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError, ProblemError
 from napari_hmrf.field.units import unit_factor
-from napari_hmrf.io.table_files import read_cells, split_cells, text_of
+from napari_hmrf.io.table_files import csv_text, read_cells, split_cells, text_of
 from napari_hmrf.solver.problem import as_numbers
 
 Points = npt.NDArray[np.float64]
@@ -393,18 +392,14 @@ def _as_csv(
     sd: npt.NDArray[np.float64] | None,
 ) -> str:
     last = [[]] * len(points) if sd is None else [[spread] for spread in sd.tolist()]
-    file = io.StringIO()
-    writer = csv.writer(file, lineterminator="\n")
     if targets is None:
-        titles = [f"axis-{axis}" for axis in range(points.shape[1])]
-        writer.writerow(["index", *titles, *["sd"] * (sd is not None)])
+        axes = [f"axis-{axis}" for axis in range(points.shape[1])]
+        titles = ["index", *axes, *["sd"] * (sd is not None)]
         rows = zip(points.tolist(), last, strict=True)
-        writer.writerows([number, *point, *end] for number, (point, end) in enumerate(rows))
-    else:
-        pairs = np.concatenate([points[:, ::-1], targets[:, ::-1]], axis=1).tolist()
-        lines = zip(names, pairs, last, strict=True)
-        writer.writerows([name, "true", *pair, *end] for name, pair, end in lines)
-    return file.getvalue()
+        return csv_text([titles, *([n, *point, *end] for n, (point, end) in enumerate(rows))])
+    pairs = np.concatenate([points[:, ::-1], targets[:, ::-1]], axis=1).tolist()
+    lines = zip(names, pairs, last, strict=True)
+    return csv_text([name, "true", *pair, *end] for name, pair, end in lines)
 
 
 def _parse_markups(text: str) -> LandmarkFile:
@@ -465,18 +460,15 @@ def _parse_fiducials(text: str) -> LandmarkFile:
 
 
 def _as_fiducials(points: Points, names: Sequence[str]) -> str:
-    columns = "id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID"
-    head = [
-        "# Markups fiducial file version = 5.0",
-        "# CoordinateSystem = LPS",
-        f"# columns = {columns}",
-    ]
-    file = io.StringIO()
-    file.writelines(f"{line}\n" for line in head)
-    writer = csv.writer(file, lineterminator="\n")
-    for number, (name, (z, y, x)) in enumerate(zip(names, points.tolist(), strict=True)):
-        writer.writerow([number + 1, x, y, z, 0, 0, 0, 1, 1, 1, 0, name, "", ""])
-    return file.getvalue()
+    head = (
+        "# Markups fiducial file version = 5.0\n"
+        "# CoordinateSystem = LPS\n"
+        "# columns = id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID\n"
+    )
+    named = enumerate(zip(names, points.tolist(), strict=True), 1)
+    return head + csv_text(
+        [number, x, y, z, 0, 0, 0, 1, 1, 1, 0, name, "", ""] for number, (name, (z, y, x)) in named
+    )
 
 
 def _slicer_landmarks(

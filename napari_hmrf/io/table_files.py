@@ -306,12 +306,16 @@ def write_csv(
         raise FileFormatError(
             f"{target.name}: {what} are saved as comma-separated text. End the name in {ENDING}."
         )
-    file = io.StringIO()
-    writer = csv.writer(file, lineterminator="\n")
-    writer.writerow([_with_apostrophe(title) for title in titles])
-    writer.writerows([_with_apostrophe(cell) for cell in row] for row in rows)
-    write_whole(target, file.getvalue().encode())
+    text = csv_text([_with_apostrophe(cell) for cell in row] for row in chain([titles], rows))
+    write_whole(target, text.encode())
     return target
+
+
+def csv_text(rows: Iterable[Iterable[Any]]) -> str:
+    """Return rows as comma-separated text."""
+    file = io.StringIO()
+    csv.writer(file, lineterminator="\n").writerows(rows)
+    return file.getvalue()
 
 
 def _with_apostrophe(cell: Any) -> Any:
