@@ -117,14 +117,22 @@ Spread = Annotated[
 ]
 #: Confidence of an observation, which would have no effect at 0.
 PositiveShare = Annotated[_BOUNDED, Field(gt=0, le=1), Words("a number above 0, up to 1")]
-#: Strength of observations.
+#: Strength of observations, or unit of a quantity that is multiplied with forces.
 Penalty = Annotated[
     _BOUNDED,
     Field(ge=PENALTY_RANGE[0], le=PENALTY_RANGE[1]),
     Words("a number from {:g} to {:g}".format(*PENALTY_RANGE)),
 ]
+#: Standard deviation of the strain of tissue.
+TypicalStrain = Annotated[
+    _BOUNDED, Field(ge=1e-9, le=1e6), Words("a number from 1e-09 to 1e+06, such as 0.1")
+]
 #: Count of samples or iterations.
 Count = Annotated[int, Field(ge=1), Words("a whole number of at least 1")]
+#: Count from which a spread is estimated, or an interval is divided.
+Samples = Annotated[int, Field(ge=2), Words("a whole number of at least 2")]
+#: Seed of random numbers.
+Seed = Annotated[int, Field(ge=0), Words("a whole number of at least 0")]
 #: Step sizes.
 Steps = Annotated[
     tuple[Annotated[_BOUNDED, Field(gt=0)], ...],

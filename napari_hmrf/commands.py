@@ -24,8 +24,8 @@ from napari_hmrf.solver.backends import BackendName
 from napari_hmrf.solver.model_names import ModelName, Plane
 
 if TYPE_CHECKING:
-    from napari_hmrf.checks import Flag, Number, Poisson, Positive
-    from napari_hmrf.io.option_texts import Count, Index, Lengths, Samples, Seed
+    from napari_hmrf.checks import Count, Flag, Number, Poisson, Positive, Samples, Seed
+    from napari_hmrf.io.option_texts import Index, Lengths
 
 #: Content of a file or folder that an option names.
 Folder = Path

@@ -15,8 +15,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.arguments import checked_path, is_whole, refuse_unless, require_kind
+from napari_hmrf.arguments import checked_path, require_kind
 from napari_hmrf.augmentation.random_deformation import RandomDeformation, RandomSample
+from napari_hmrf.checks import Count, Seed, convert
 from napari_hmrf.errors import HmrfError
 from napari_hmrf.field.deformation import spread
 from napari_hmrf.field.inverse_field import inverse_displacement
@@ -118,10 +119,7 @@ def write_truth(
         As for `read_case` and `RandomDeformation`; if the case has no image or no labels; or if
         the folder contains an earlier run, and `overwrite` is False or the case reads its files.
     """
-    refuse_unless(is_whole(count) and count >= 1, "count", count, "a positive whole number")
-    right = is_whole(seed) and seed >= 0
-    refuse_unless(right, "seed", seed, "a non-negative whole number")
-    count, seed = int(count), int(seed)
+    count, seed = convert(Count, count, "count"), convert(Seed, seed, "seed")
     folder = Path(checked_path(folder, "folder", "folder"))
     require_kind(Case, "case", case, "Case('scan.nii.gz')")
     _refuse_earlier(folder, case, overwrite)

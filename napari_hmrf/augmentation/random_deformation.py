@@ -16,13 +16,14 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import Field
 
 from napari_hmrf.archive import Archive
-from napari_hmrf.arguments import is_whole, real, reals, refuse_unless, tuple_of
+from napari_hmrf.arguments import real, reals, refuse_unless, tuple_of
 from napari_hmrf.augmentation.fold_limit import largest_scale
 from napari_hmrf.augmentation.unit_solutions import (
     WRONG,
@@ -33,6 +34,7 @@ from napari_hmrf.augmentation.unit_solutions import (
     control_patches,
     solve_units,
 )
+from napari_hmrf.checks import Count, NotNegative, Positive, Words, convert
 from napari_hmrf.errors import ArgumentError, ProblemError
 from napari_hmrf.field.live_warp import Picture, Warper
 from napari_hmrf.field.moved_points import moved_points, refuse_outside
@@ -55,6 +57,7 @@ from napari_hmrf.tissue.usual_lengths import usual_radius
 
 #: Argument of `numpy.random.default_rng`: a seed, or a generator, which is advanced.
 Seed = int | Sequence[int] | np.random.Generator | None
+_Jacobian = Annotated[float, Field(gt=0, lt=1), Words("a number above 0 and below 1")]
 
 # Default number of control patches in an image (two unit solutions per patch) and in a volume
 # (three unit solutions per patch).
@@ -320,24 +323,16 @@ class RandomDeformation:
             )
         n = image.ndim
         sizes = checked_spacing(spacing, n)
-        for name, value, low, requirement in (
-            ("radius", radius, 0, "a length above 0"),
-            ("smoothness", smoothness, 0, "a length above 0"),
-            ("memory", memory, 0, "a number of bytes"),
-        ):
-            right = value is None or low < real(value) < math.inf
-            refuse_unless(right, name, value, requirement)
-        refuse_unless(0 <= real(weight) < math.inf, "weight", weight, "a non-negative number")
-        count = _PATCHES[n] if patches is None else patches
-        refuse_unless(is_whole(count) and count >= 1, "patches", count, "a positive whole number")
-        above = 0 < real(least_jacobian) < 1
-        refuse_unless(above, "least_jacobian", least_jacobian, "a number above 0 and below 1")
+        radius = convert(Positive | None, radius, "radius")
+        smoothness = convert(Positive | None, smoothness, "smoothness")
+        memory = convert(Positive | None, memory, "memory")
+        count = convert(Count, _PATCHES[n] if patches is None else patches, "patches")
         usual = usual_radius(image.shape, sizes)
         # A pulled ball compresses the surrounding tissue more than a disc of the same radius, and a
         # larger radius reduces the compression. Therefore patches are larger in volumes.
-        size = usual * (n - 1) / 2 if radius is None else float(radius)
+        size = usual * (n - 1) / 2 if radius is None else radius
         where, centres = control_patches(
-            image, rows, sizes, count=int(count), radius=size, hold_edge=hold_edge
+            image, rows, sizes, count=count, radius=size, hold_edge=hold_edge
         )
         apart = _distance_to_next(centres, 4 * usual)
         case = MovableTissue(
@@ -348,9 +343,9 @@ class RandomDeformation:
             where,
             centres,
             _range(amplitude, _REACH[n] * apart),
-            apart if smoothness is None else float(smoothness),
-            float(weight),
-            float(least_jacobian),
+            apart if smoothness is None else smoothness,
+            convert(NotNegative, weight, "weight"),
+            convert(_Jacobian, least_jacobian, "least_jacobian"),
         )
         self._set_solutions(solve_units(case, backend=backend, memory=memory, progress=progress))
 

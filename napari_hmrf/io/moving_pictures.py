@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from napari_hmrf.arguments import checked_path, refuse_unless, require_kind
 from napari_hmrf.atomic_write import temporary_beside, write_whole
+from napari_hmrf.checks import Count, Samples, convert
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.extras import how_to_install
 from napari_hmrf.field.animation import Motion
@@ -85,8 +86,8 @@ def write_movie(
             f"{target.name}: animations cannot be written in this format. Use the suffix "
             f"{' or '.join(MOVING_SUFFIXES)}."
         )
-    refuse_unless(frames >= 2, "frames", frames, "at least 2")
-    refuse_unless(per_second >= 1, "per_second", per_second, "at least 1")
+    frames = convert(Samples, frames, "frames")
+    per_second = convert(Count, per_second, "per_second")
     if solution.tissue.ndim == 2 and number is not None:
         raise ProblemError(
             "displacement", "belongs to a slice. Leave out the slice index (`number`)."

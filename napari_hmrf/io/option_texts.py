@@ -12,11 +12,14 @@ from pydantic import BeforeValidator, Field, PlainValidator
 
 from napari_hmrf.arguments import did_you_mean
 from napari_hmrf.checks import Budget as Budget
+from napari_hmrf.checks import Count as Count
 from napari_hmrf.checks import Flag as Flag
 from napari_hmrf.checks import Number as Number
 from napari_hmrf.checks import PerAxis as PerAxis
 from napari_hmrf.checks import Poisson as Poisson
 from napari_hmrf.checks import Positive as Positive
+from napari_hmrf.checks import Samples as Samples
+from napari_hmrf.checks import Seed as Seed
 from napari_hmrf.checks import Words, convert
 from napari_hmrf.errors import ArgumentError
 from napari_hmrf.field.units import UNKNOWN_UNITS, is_length
@@ -41,10 +44,7 @@ def _pixel_size(value: Any) -> Any:
     return sizes.split("/"), unit
 
 
-Count = Annotated[int, Field(ge=1), Words("a whole number of at least 1")]
-Samples = Annotated[int, Field(ge=2), Words("a whole number of at least 2")]
 Index = Annotated[int, Field(ge=0), Words("the index of a slice (in a table also 3-7, or all)")]
-Seed = Annotated[int, Field(ge=0), Words("a whole number of at least 0")]
 PixelSize = Annotated[
     tuple[Annotated[tuple[Positive, ...], Field(min_length=2, max_length=3)], str],
     BeforeValidator(_pixel_size),

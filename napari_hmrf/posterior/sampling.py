@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.arguments import is_whole, refuse_unless
+from napari_hmrf.checks import Count, Seed, convert
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.posterior.noise import PosteriorNoise
 from napari_hmrf.posterior.tissue_box import TissueBox
@@ -109,8 +109,7 @@ def sample_posterior(
     G. Papandreou, A. Yuille: Gaussian sampling by local perturbations. NIPS 2010.
     """
     check_arguments(problem=problem, prior=prior, backend=backend, progress=progress, cancel=cancel)
-    refuse_unless(is_whole(n) and n >= 1, "n", n, "a number of samples, 1 or more")
-    refuse_unless(is_whole(seed) and seed >= 0, "seed", seed, "a whole number, 0 or more")
+    n, seed = convert(Count, n, "n"), convert(Seed, seed, "seed")
     elastic = checked_prior(problem, prior)
     energy = energy_of(problem, scale)
 

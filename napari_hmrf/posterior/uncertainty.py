@@ -9,13 +9,13 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
-from napari_hmrf.arguments import is_whole, real, refuse_unless
+from napari_hmrf.checks import Positive, Samples, Seed, Words, convert
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.posterior.noise import PosteriorNoise
 from napari_hmrf.posterior.sampling import Sampler, checked_prior, energy_of
@@ -34,6 +34,9 @@ if TYPE_CHECKING:
 Float32Array = npt.NDArray[np.float32]
 Float64Array = npt.NDArray[np.float64]
 
+_Count = Annotated[
+    Literal[0] | Samples, Words("a whole number of at least 2, or 0 for labels only")
+]
 #: Side of a patch by default, relative to the longest side of the image.
 _PATCH = 0.05
 
@@ -280,12 +283,9 @@ def uncertainty(
     True
     """
     check_arguments(problem=problem, prior=prior, backend=backend, progress=progress, cancel=cancel)
-    counts = is_whole(n) and (n >= 2 or n == 0)
-    refuse_unless(counts, "n", n, "a number of samples, 2 or more, or 0 for labels only")
-    refuse_unless(is_whole(seed) and seed >= 0, "seed", seed, "a whole number, 0 or more")
+    n, seed = convert(_Count, n, "n"), convert(Seed, seed, "seed")
     longest = max(size * step for size, step in zip(problem.shape, problem.spacing, strict=True))
-    side = _PATCH * longest if patch is None else real(patch)
-    refuse_unless(0 < side < math.inf, "patch", patch, "a positive length, or None")
+    side = convert(Positive, _PATCH * longest if patch is None else patch, "patch")
     numbers = None if labels is None else checked_labels(labels, problem)
     elastic, energy = checked_prior(problem, prior), energy_of(problem, scale)
     box = TissueBox.of(problem, elastic)

@@ -9,7 +9,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from napari_hmrf.arguments import is_one_of, real, refuse_unless, require_kind
+from napari_hmrf.arguments import is_one_of, refuse_unless, require_kind
+from napari_hmrf.checks import Positive, convert
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.brightness import luminance
 from napari_hmrf.field.warp import Spacing
@@ -124,7 +125,7 @@ def register(
         )
     sizes = checked_spacing(spacing, axes)
     own_sizes = sizes if moving_spacing is None else checked_spacing(moving_spacing, axes)
-    refuse_unless(0 < real(smoothness) < math.inf, "smoothness", smoothness, "a positive number")
+    smoothness = convert(Positive, smoothness, "smoothness")
     if landmarks is not None:
         require_kind(Landmarks, "landmarks", landmarks, "Landmarks(points, targets, sd=1)")
     m = np.ones(first.shape, np.float32) if stiffness is None else as_stiffness(stiffness)

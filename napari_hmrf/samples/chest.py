@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from napari_hmrf.arguments import real, refuse_unless
+from napari_hmrf.checks import Number, convert
 from napari_hmrf.samples.phantoms import Phantom, checked_size
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 
@@ -77,7 +77,7 @@ def chest_phantom(size: int = 256, *, breath: float = 14.0) -> Phantom:
         If the size is not a whole number of at least 96, or the breath is not a finite number.
     """
     size = checked_size(size, SMALLEST)
-    refuse_unless(math.isfinite(real(breath)), "breath", breath, "a distance in pixels")
+    breath = convert(Number, breath, "breath")
     scale = size / _DRAWN_AT
     index = np.arange(size) / scale
     row, col = np.meshgrid(index, index - (_DRAWN_AT - 1) / 2, indexing="ij")

@@ -6,7 +6,6 @@ Formulas define all shapes, so the phantom can have any size. Lengths are in mil
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -14,8 +13,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from napari_hmrf.arguments import is_whole, real, refuse_unless
+from napari_hmrf.checks import Number, convert
 from napari_hmrf.field.frame import PATIENT_AXES, Frame
+from napari_hmrf.samples.phantoms import checked_size
 from napari_hmrf.solver.problem import Problem, grid_in_words
 from napari_hmrf.tissue.boundary_rules import (
     BoundaryRule,
@@ -130,12 +130,10 @@ def head_phantom(size: int = 64, *, growth: float = 5.0) -> HeadPhantom:
     ArgumentError
         If the size is not a whole number of at least 24, or the growth is not a finite number.
     """
-    requirement = f"a whole number of at least {SMALLEST}"
-    refuse_unless(is_whole(size) and size >= SMALLEST, "size", size, requirement)
-    refuse_unless(math.isfinite(real(growth)), "growth", growth, "a length in millimetres")
-    side = _LONG / int(size)
+    size, growth = checked_size(size, SMALLEST), convert(Number, growth, "growth")
+    side = _LONG / size
     spacing = (side, side, side)
-    shape = (round(0.8 * size), int(size), round(0.8 * size))
+    shape = (round(0.8 * size), size, round(0.8 * size))
     up, back, left = _from(shape, spacing)
     inside = _ball((up, back, left), _BRAIN) <= 1
     bone = ~inside & (_ball((up, back, left), [half + _SKULL for half in _BRAIN]) <= 1)

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import KW_ONLY, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.arguments import real, refuse_unless, require_flag, require_kind
+from napari_hmrf.arguments import require_flag, require_kind
+from napari_hmrf.checks import Penalty, TypicalStrain, checked
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.neighbours import in_elements
 from napari_hmrf.solver.real_arrays import as_numbers, first_index
@@ -20,9 +21,6 @@ Float64Array = npt.NDArray[np.float64]
 
 #: Range of standard deviations, in pixels. A smaller one should be prescribed.
 SD_RANGE = (1e-3, 1e6)
-# Range of typical strains, and of the extent and the stiffness of a patch.
-_STRAINS = (1e-9, 1e6)
-_EXTENTS = (1e-30, 1e30)
 # Largest precision of a landmark relative to the stiffness of the stiffest tissue. An observation
 # that is more certain should be prescribed.
 _MAX_WEIGHT = 1e12
@@ -32,7 +30,7 @@ _ROUNDING = 1e-6
 _PATCH = 0.1
 
 
-@dataclass(frozen=True)
+@checked
 class StrainScale:
     """Typical strain of tissue before any observation: the scale of the prior.
 
@@ -56,20 +54,10 @@ class StrainScale:
         Typical stiffness; by default the median stiffness of all tissue that is not rigid.
     """
 
-    strain: float = 0.1
+    strain: TypicalStrain = 0.1
     _: KW_ONLY
-    extent: float | None = None
-    stiffness: float | None = None
-
-    def __post_init__(self) -> None:
-        low, high = _STRAINS
-        right = low <= real(self.strain) <= high
-        refuse_unless(right, "strain", self.strain, f"from {low:g} to {high:g}, such as 0.1")
-        low, high = _EXTENTS
-        for name, kind in (("extent", "length"), ("stiffness", "stiffness")):
-            value = getattr(self, name)
-            right = value is None or low <= real(value) <= high
-            refuse_unless(right, name, value, f"a {kind} from {low:g} to {high:g}, or None")
+    extent: Penalty | None = None
+    stiffness: Penalty | None = None
 
     def energy(self, stiffness: npt.NDArray[Any], spacing: Sequence[float]) -> float:
         """Return the unit of energy: stiffness times length^n.

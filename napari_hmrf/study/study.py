@@ -6,7 +6,6 @@ shares the unchanged parts. Arrays are therefore compared by identity, not by va
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
 from contextlib import contextmanager
@@ -19,7 +18,6 @@ from pydantic import Field
 
 from napari_hmrf.archive import ByClass
 from napari_hmrf.arguments import (
-    real,
     reals,
     refuse_unless,
     require_flag,
@@ -27,6 +25,7 @@ from napari_hmrf.arguments import (
     shown,
     tuple_of,
 )
+from napari_hmrf.checks import PerAxis, TypicalStrain, Words, convert
 from napari_hmrf.errors import ArgumentError, ProblemError, naming
 from napari_hmrf.field.brightness import luminance
 from napari_hmrf.field.frame import Frame, StoredFrame
@@ -55,6 +54,9 @@ from napari_hmrf.tissue.tissue_names import materials_by_name
 Array = npt.NDArray[Any]
 #: Display settings, which are not stored in files.
 Look = Annotated[dict[str, Any], Field(exclude=True)]
+_Weight = Annotated[
+    tuple[()] | PerAxis, Words("a number along each axis, such as (0.01, 0), or ()")
+]
 #: Largest distance, in slices, between a point in a slice and the centre plane of the slice.
 _IN_SLICE = 0.5 + 1e-3
 
@@ -519,14 +521,10 @@ class Motion(Conditions):
         require_kind(Cavity, "cavity", self.cavity, "Cavity(pressure=0.1)")
         example = "registration.motion().measured"
         require_kind(MeasuredMotion | None, "measured", self.measured, example)
-        axes = len(self.weight) if isinstance(self.weight, Sized) else 1
-        along = reals(self.weight, axes)
-        requirement = "a finite number along each axis, such as (0.01, 0)"
-        refuse_unless(bool(np.isfinite(along).all()), "weight", self.weight, requirement)
+        along = convert(_Weight, self.weight, "weight")
         object.__setattr__(self, "weight", along)
-        is_positive = 0 < real(self.typical_strain) < math.inf
-        requirement = "a positive number, such as 0.1"
-        refuse_unless(is_positive, "typical_strain", self.typical_strain, requirement)
+        strain = convert(TypicalStrain, self.typical_strain, "typical_strain")
+        object.__setattr__(self, "typical_strain", strain)
         if (self.observed is None) != (self.confidence is None):
             raise ProblemError("motion", "requires both the observed field and its confidence.")
 

@@ -258,8 +258,10 @@ def test_a_sample_scaled_below_the_amplitude_is_reported_with_shell_options(file
 
 def test_invalid_arguments_are_reported_before_any_solve(files, capsys):
     case = Case(files / "scan.mha", labels=files / "labels.png", materials=files / "m.csv")
-    for name, words in (("count", "positive"), ("seed", "non-negative")):
-        with pytest.raises(ArgumentError, match=f"{name} must be a {words} whole number, not -1"):
+    for name, least in (("count", 1), ("seed", 0)):
+        with pytest.raises(
+            ArgumentError, match=f"{name} must be a whole number of at least {least}, not -1"
+        ):
             ground_truth.write_truth(case, files / "out", **{name: -1})
     assert truth(files, "--amplitude", -1) == 1
     (files / "m.csv").write_text("label,name,stiffness\n1,brain,3\n")

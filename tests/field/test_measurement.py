@@ -202,7 +202,7 @@ def test_an_animation_of_another_format_or_of_one_frame_is_rejected(solved, tmp_
         FileFormatError, match=r"a\.png: animations cannot be written .* \.gif or \.mp4"
     ):
         write_movie(tmp_path / "a.png", solution, photo)
-    with pytest.raises(ArgumentError, match=r"frames must be at least 2, not 1"):
+    with pytest.raises(ArgumentError, match=r"frames must be a whole number of at least 2, not 1"):
         write_movie(tmp_path / "a.gif", solution, photo, frames=1)
     assert main(["play", str(solved), str(tmp_path / "case.gif")]) == 0
     assert (tmp_path / "case.gif").exists()
