@@ -181,6 +181,19 @@ PerAxis = Annotated[
     BeforeValidator(_along_axes),
     Words("a number for each axis, such as 0.01/0"),
 ]
+_CurvePoint = Annotated[
+    tuple[_BOUNDED, Annotated[_BOUNDED, Field(gt=0, le=LARGEST_STIFFNESS)]], BeforeValidator(_plain)
+]
+#: Points of a stiffness curve.
+CurvePoints = Annotated[
+    tuple[_CurvePoint, ...],
+    Field(min_length=2),
+    BeforeValidator(_plain),
+    Words(
+        "two or more pairs of an intensity and a stiffness, above 0 and no larger than "
+        f"{LARGEST_STIFFNESS:.2g}"
+    ),
+]
 #: Paths of a brush, each with one or more positions. A path has many positions, so that only lists
 #: that contain arrays are converted by Python.
 Paths = Annotated[

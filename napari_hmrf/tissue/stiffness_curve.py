@@ -6,18 +6,24 @@ each intensity to a stiffness, and intensities below a threshold are void. A cur
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Mapping
-from dataclasses import KW_ONLY, asdict, dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import KW_ONLY, asdict, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.arguments import is_one_of, real, reals, shown
-from napari_hmrf.checks import LARGEST_STIFFNESS
+from napari_hmrf.checks import (
+    Choice,
+    CurvePoints,
+    Flag,
+    Number,
+    Text,
+    checked,
+    convert,
+)
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.problem import FloatArray, as_numbers
 from napari_hmrf.tissue.surroundings import void_threshold
@@ -34,7 +40,7 @@ STIFFNESSES = (10.0, 20.0, 40.0)
 _NODES = 64
 
 
-@dataclass(frozen=True)
+@checked
 class StiffnessCurve:
     """Callable curve that maps image intensities to stiffnesses.
 
@@ -59,47 +65,26 @@ class StiffnessCurve:
 
     Raises
     ------
-    ProblemError
+    ArgumentError
         If there are fewer than two points, if the intensities do not increase, or if a value is
-        invalid.
+        invalid; the message states valid values.
     """
 
-    points: tuple[Point, ...]
+    points: CurvePoints
     _: KW_ONLY
-    void_below: float | None = None
-    between: Between = "straight"
-    logarithmic: bool = True
-    unit: str = ""
+    void_below: Number | None = None
+    between: Annotated[Between, Choice()] = "straight"
+    logarithmic: Flag = True
+    unit: Text = ""
 
     def __post_init__(self) -> None:
-        given = self.points if isinstance(self.points, Iterable) else [self.points]
-        points = tuple(reals(point, 2) for point in given)
-        void_below = None if self.void_below is None else real(self.void_below)
-        intensities = [intensity for intensity, _ in points]
-        if not all(map(math.isfinite, intensities)):
-            raise _bad(
-                "has a point that is not a pair of numbers. Use pairs of intensity and stiffness"
-            )
-        if len(points) < 2:
-            raise _bad("has fewer than two points. Use two or more, with different intensities")
+        intensities = [intensity for intensity, _ in self.points]
         for before, after in pairwise(intensities):
             if before >= after:
                 twice = "twice" if before == after else f"after {before:g}"
-                raise _bad(f"has intensity {after:g} {twice}. List each once, in increasing order")
-        for intensity, stiffness in points:
-            if not 0 < stiffness <= LARGEST_STIFFNESS:
-                most = f"above 0, and no larger than {LARGEST_STIFFNESS:.2g}"
-                raise _bad(f"requires a stiffness at intensity {intensity:g} that is {most}")
-        if void_below is not None and not math.isfinite(void_below):
-            raise _bad(
-                "has a tissue threshold that is not a finite number. Use a number, or omit it"
-            )
-        if not is_one_of(self.between, get_args(Between)):
-            raise _bad(f'is {shown(self.between)} between its points. Use "straight" or "smooth"')
-        if not isinstance(self.logarithmic, bool) or not isinstance(self.unit, str):
-            raise _bad("requires True or False for 'logarithmic' and a string for 'unit'")
-        object.__setattr__(self, "points", points)
-        object.__setattr__(self, "void_below", void_below)
+                raise ValueError(
+                    f"points have intensity {after:g} {twice}. List each once, in increasing order"
+                )
 
     def __call__(self, intensities: npt.ArrayLike) -> FloatArray:
         """Map the intensity of each pixel to a stiffness.
@@ -171,13 +156,11 @@ class StiffnessCurve:
 
         Raises
         ------
-        ProblemError
+        ArgumentError
             If the dictionary is not from `as_dict`, or if a value is invalid.
         """
-        known = [field.name for field in fields(cls)]
-        if not isinstance(values, Mapping) or "points" not in values or set(values) - set(known):
-            raise _bad(f"is not stored as a curve. Pass a mapping with the keys {', '.join(known)}")
-        return cls(**dict(values))
+        curve: StiffnessCurve = convert(cls, values, "curve")
+        return curve
 
     @classmethod
     def from_percentiles(
@@ -255,7 +238,7 @@ def with_point(curve: StiffnessCurve, at: int | None, point: Point | None) -> St
 
     Raises
     ------
-    ProblemError
+    ArgumentError
         If the new points do not define a valid curve.
     """
     others = [each for number, each in enumerate(curve.points) if number != at]

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from psygnal import Signal
 from qtpy.QtWidgets import QSizePolicy, QVBoxLayout, QWidget
 
-from napari_hmrf.errors import ProblemError
+from napari_hmrf.errors import ArgumentError
 from napari_hmrf.tissue.stiffness_curve import Point, StiffnessCurve, with_point
 from napari_hmrf.ui.events import single_shot
 
@@ -135,7 +135,7 @@ class CurvePlot(QWidget):
         return float(f"{intensity:.5g}"), float(f"{stiffness:.3g}")
 
     def _change(self, number: int | None, point: Point | None) -> None:
-        with suppress(ProblemError):  # another point has this intensity, or only two points remain
+        with suppress(ArgumentError):  # another point has this intensity, or only two points remain
             self.apply_edit(with_point(self._curve, number, point))
 
     def _draw_soon(self) -> None:
