@@ -13,8 +13,6 @@ from functools import singledispatch
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from napari_hmrf import commands
 from napari_hmrf.augmentation.ground_truth import Truth, write_truth
 from napari_hmrf.errors import HmrfError, in_words
@@ -52,8 +50,7 @@ from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.solver.solution import SUM
 from napari_hmrf.solver.solve import solve
 from napari_hmrf.study.models import family_of, parts_of
-from napari_hmrf.tissue.boundary_rules import RIGID, stiffness_in_words
-from napari_hmrf.tissue.tissue_names import KnownTissue, NamedMaterials, materials_by_name
+from napari_hmrf.tissue.tissue_names import materials_by_name
 from napari_hmrf.wording import in_shell_words
 
 if TYPE_CHECKING:
@@ -178,28 +175,10 @@ def _materials(options: commands.Materials) -> int:
         labels = labels_in(options.labels)
         names = {label: names.get(label, "not in the table") for label in labels}
     materials = materials_by_name(names)
-    print(_named_in_words(materials))
+    print("\n".join(materials.described()))
     if options.out is not None:
         print(f"written: {write_named_materials(options.out, materials)}")
     return 0
-
-
-def _named_in_words(found: NamedMaterials) -> str:
-    """Return text that lists the labels recognized as each known tissue, and unknown labels."""
-    of_tissue: dict[KnownTissue, list[str]] = {}
-    for row in found.materials:
-        of_tissue.setdefault(found.tissues[row.label], []).append(f"{row.label} {row.name}")
-    lines = []
-    for tissue, labels in of_tissue.items():
-        stiffness = stiffness_in_words(tissue.stiffness, found.unit)
-        values = (
-            f"{stiffness}, nu {tissue.poisson:g}" if 0 < tissue.stiffness < RIGID else stiffness
-        )
-        lines.append(f"{tissue.name} ({values}): {', '.join(labels)}")
-    if found.unknown:
-        labels = [f"{label} {name}" for label, name in found.unknown.items()]
-        lines.append(f"unknown (fill in or remove): {', '.join(labels)}")
-    return "\n".join(lines)
 
 
 @run.register
@@ -266,17 +245,8 @@ def _uncertainty(options: commands.Uncertainty) -> int:
             overwrite=options.force,
             progress=progress,
         )
-    found, site, unit = estimated.found, estimated.least_sure, estimated.unit
-    bars = found.along[found.solution.tissue]
-    print(
-        f"estimated: patches of {found.patch:.3g} {unit}, {found.n} samples, ± "
-        f"{float(np.median(bars)):.2g} {unit} in the median, up to ± {float(bars.max()):.2g} {unit}"
-    )
-    place = ", ".join(str(index) for index in site)
-    print(
-        f"least sure: ± {float(found.along[site]):.2g} {unit} at pixel ({place}), where one more "
-        "landmark helps most"
-    )
+    for clause in estimated.described():
+        print(clause)
     for clause in estimated.landmarks.described() if estimated.landmarks else ():
         print(f"tested: {clause}")
     if estimated.note:

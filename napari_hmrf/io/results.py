@@ -155,6 +155,21 @@ class EstimatedFile(NamedTuple):
     note: str = ""
     landmarks: LandmarkTest | None = None
 
+    def described(self) -> tuple[str, ...]:
+        """Return the size of the error bars and the site of the next landmark, as clauses."""
+        found, site, unit = self.found, self.least_sure, self.unit
+        bars = found.along[found.solution.tissue]
+        median, most = f"{float(np.median(bars)):.2g} {unit}", f"{float(bars.max()):.2g} {unit}"
+        size = (
+            f"estimated: patches of {found.patch:.3g} {unit}, {found.n} samples, ± {median} in the "
+            f"median, up to ± {most}"
+        )
+        place = (
+            f"least sure: ± {float(found.along[site]):.2g} {unit} at pixel "
+            f"({', '.join(map(str, site))}), where one more landmark helps most"
+        )
+        return size, place
+
 
 def estimate_uncertainty(
     path: Path,

@@ -19,7 +19,7 @@ from typing import NamedTuple
 from napari_hmrf.arguments import is_whole, refuse_unless, require_kind
 from napari_hmrf.checks import Poisson, Stiffness, Text, checked
 from napari_hmrf.resources import resource_folder
-from napari_hmrf.tissue.boundary_rules import Material, with_motion_of
+from napari_hmrf.tissue.boundary_rules import RIGID, Material, stiffness_in_words, with_motion_of
 
 _Words = tuple[str, ...]
 #: Largest number of labels that a sentence lists.
@@ -98,6 +98,22 @@ class NamedMaterials:
             return ""
         listed = f"{', '.join(known[:_FEW])}{more}"
         return f"the table only names its labels, so published stiffness is used for {listed}"
+
+    def described(self) -> tuple[str, ...]:
+        """Return a line for each known tissue, with its labels, and a line for unknown labels."""
+        of_tissue: dict[KnownTissue, list[str]] = {}
+        for row in self.materials:
+            of_tissue.setdefault(self.tissues[row.label], []).append(f"{row.label} {row.name}")
+        lines = []
+        for tissue, labels in of_tissue.items():
+            values = stiffness_in_words(tissue.stiffness, self.unit)
+            if 0 < tissue.stiffness < RIGID:
+                values += f", nu {tissue.poisson:g}"
+            lines.append(f"{tissue.name} ({values}): {', '.join(labels)}")
+        if self.unknown:
+            labels = [f"{label} {name}" for label, name in self.unknown.items()]
+            lines.append(f"unknown (fill in or remove): {', '.join(labels)}")
+        return tuple(lines)
 
     @property
     def source(self) -> str:
