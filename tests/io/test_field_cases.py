@@ -240,6 +240,13 @@ REFUSED = {
 }
 
 
+@pytest.fixture
+def in_this_process(monkeypatch):
+    """Read files in this process, because a child process takes long to start."""
+    monkeypatch.setattr(itk_files, "call_in_child", lambda _, read, path: read(path))
+
+
+@pytest.mark.usefixtures("in_this_process")
 @pytest.mark.parametrize(("name", "write", "reason"), REFUSED.values(), ids=REFUSED)
 def test_an_image_is_refused_with_its_reason(tmp_path, capsys, name, write, reason):
     path = tmp_path / name
