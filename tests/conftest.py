@@ -258,9 +258,15 @@ def run(qtbot):
 
 
 @pytest.fixture
-def wait_for(qtbot):
-    """Return a function that processes events of the window until a condition is true."""
-    return lambda condition: qtbot.waitUntil(condition, timeout=LONG_MS)
+def wait_for(qtbot, at_rest):
+    """Return a function that processes events and delayed calls until a condition is true."""
+
+    def run(condition):
+        if not condition():
+            at_rest(thread=False)
+        return condition()
+
+    return lambda condition: qtbot.waitUntil(lambda: run(condition), timeout=LONG_MS)
 
 
 @pytest.fixture
