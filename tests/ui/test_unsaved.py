@@ -3,10 +3,8 @@
 import errno
 import os
 import re
-import signal
 import subprocess
 import sys
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -412,59 +410,37 @@ def test_edits_of_a_study_that_cannot_be_solved_are_autosaved(dock, photo, frame
     assert (study.tissue.labels == 2).all(), "the last valid tissue is missing"
 
 
-CRASHED = """
-import sys
-import numpy as np
-from qtpy.QtCore import QEventLoop, QSettings
-from qtpy.QtWidgets import QApplication
-from napari.components import ViewerModel
-from napari_hmrf import Arrow, Drawing
-from napari_hmrf.ui.soft_tissue import SoftTissue
-QSettings.setPath(QSettings.Format.IniFormat, QSettings.Scope.UserScope, sys.argv[1])
-app = QApplication([])
-viewer = ViewerModel()
-dock = SoftTissue(viewer)
-dock.live = False
-viewer.add_image(np.full((64, 64), 100, np.uint8), name="photo")
-while dock.busy:
-    app.processEvents(QEventLoop.ProcessEventsFlag.WaitForMoreEvents)
-dock.drawing = Drawing((Arrow(at=(30, 30), by=(2.0, 5.0), radius=4.0),))
-app.exec()
-"""
-
-
-@pytest.fixture
-def killed_process(wait_for):
-    """Return a context with a process that has unsaved work; the process is killed at the end."""
-
-    @contextmanager
-    def living():
-        place = settings()
-        command = [sys.executable, "-c", CRASHED, str(place.parent)]
-        process = subprocess.Popen(command, env={**os.environ, "QT_QPA_PLATFORM": "offscreen"})
-        try:
-            wait_for(lambda: bool(autosaved_files(place)) or process.poll() is not None)
-            assert process.poll() is None
-            yield
-        finally:
-            process.send_signal(signal.SIGKILL)
-            process.wait(LONG)
-
-    if not hasattr(signal, "SIGKILL"):
-        pytest.skip("needs SIGKILL")
-    return living
-
-
 LEFT = "Unsaved work"
 
 
+def write_recovery_file(study, process, monkeypatch):
+    """Write a recovery file as another process does."""
+    with monkeypatch.context() as its:
+        its.setattr(os, "getpid", lambda: process.pid)
+        file = recovery.new_file(settings() / "unsaved")
+    write_study(file, study)
+    return file
+
+
+@pytest.fixture
+def left_behind(monkeypatch):
+    """Return a function that creates a recovery file of a terminated process."""
+    over = subprocess.Popen([sys.executable, "-I", "-S", "-c", ""])
+    over.wait(LONG)
+    return lambda study: write_recovery_file(study, over, monkeypatch)
+
+
 def test_work_of_a_killed_process_is_offered_and_stored_until_it_is_saved(
-    killed_process, new_dock, wait_for, tmp_path
+    new_dock, wait_for, tmp_path, monkeypatch
 ):
     folder = settings() / "unsaved"
-    with killed_process():
+    pictures = Pictures(image=np.full((64, 64), 100, np.uint8), name="photo")
+    study = Study(Grid((64, 64), (1, 1)), motion=Motion(drawing=DRAWING), pictures=pictures)
+    waiting = [sys.executable, "-I", "-S", "-c", "input()"]
+    with subprocess.Popen(waiting, stdin=subprocess.PIPE) as process:
+        file = write_recovery_file(study, process, monkeypatch)
         assert not recovery.abandoned_files(folder), "work of a running process is offered"
-    (file,) = autosaved_files()
+        process.kill()
     dock = new_dock(ViewerModel())
     assert f"{LEFT} on 'photo'" in Screen(dock).words
     Screen(dock).press("Open it")
@@ -479,22 +455,6 @@ def test_work_of_a_killed_process_is_offered_and_stored_until_it_is_saved(
     assert not recovery.abandoned_files(folder), "recovered work is offered again"
     dock.save_study(tmp_path / "case")
     assert not autosaved_files()
-
-
-@pytest.fixture
-def left_behind(monkeypatch):
-    """Return a function that creates a recovery file of a terminated process."""
-    over = subprocess.Popen([sys.executable, "-I", "-S", "-c", ""])
-    over.wait(LONG)
-
-    def left(study):
-        with monkeypatch.context() as its:
-            its.setattr(os, "getpid", lambda: over.pid)
-            file = recovery.new_file(settings() / "unsaved")
-        write_study(file, study)
-        return file
-
-    return left
 
 
 def test_a_hundred_held_patches_are_autosaved(dock, photo, at_rest):
