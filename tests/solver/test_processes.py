@@ -57,16 +57,9 @@ def run_script(tmp_path, script, *arguments):
     return done.stdout
 
 
-@pytest.mark.parametrize(
-    "methods",
-    [
-        ["spawn"],
-        pytest.param(multiprocessing.get_all_start_methods(), marks=pytest.mark.campaign),
-    ],
-    ids=",".join,
-)
-def test_child_processes_reproduce_the_solution_of_the_parent(tmp_path, methods):
-    run_script(tmp_path, CHILDREN, *methods)
+@pytest.mark.campaign
+def test_child_processes_reproduce_the_solution_of_the_parent(tmp_path):
+    run_script(tmp_path, CHILDREN, *multiprocessing.get_all_start_methods())
 
 
 AFTER_OPENGL = """
