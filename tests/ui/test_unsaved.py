@@ -157,9 +157,9 @@ def settings():
     return Path(QSettings(*kind, "napari-hmrf", "napari-hmrf").fileName()).parent
 
 
-def autosaved_files(place=None):
+def autosaved_files():
     """Return the autosaved files, which lie beside the persistent settings."""
-    return sorted(((place or settings()) / "unsaved").glob("*.study"))
+    return sorted((settings() / "unsaved").glob("*.study"))
 
 
 def test_closing_asks_once_about_unsaved_edits_even_after_the_dock_was_closed(
