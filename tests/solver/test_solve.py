@@ -218,7 +218,7 @@ def made():
     return {each.__name__: each.signatures for each in found if hasattr(each, "signatures")}
 
 for spacing in ((1.0, 1.0), (1.0, 2.0)):
-    y, c, m = np.zeros((200, 190, 2)), np.zeros((200, 190, 2)), np.ones((200, 190))
+    y, c, m = np.zeros((60, 57, 2)), np.zeros((60, 57, 2)), np.ones((60, 57))
     c[0] = c[-1] = 1
     y[-1] = 3
     problem = Problem(observed=y, confidence=c, stiffness=m, spacing=spacing)
