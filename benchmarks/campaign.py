@@ -30,11 +30,11 @@ from benchmarks.clock import MemoryGrowth, now, since
 from benchmarks.table import markdown
 from napari_hmrf import ElasticPrior, LiveSolver, Multigrid, Problem, SeilerPrior, Solution, solve
 from napari_hmrf.errors import Cancelled, ConvergenceError, HmrfError, ProblemError
+from napari_hmrf.field.neighbours import sites_of_elements
 from napari_hmrf.fields import count_folds
 from napari_hmrf.solver.backends.cpu import layout
 from napari_hmrf.solver.backends.direct.factors import Factors
 from napari_hmrf.solver.live_solver import TOLERANCE, Update
-from napari_hmrf.solver.neighbours import sites_of_elements
 from validation.bodies import between_plates, dice_of
 from validation.oracles.elasticity import direct_solution
 from validation.oracles.exact import Exact, exact_field

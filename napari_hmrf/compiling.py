@@ -18,14 +18,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from napari_hmrf.compute.compile_cache import compiler, disk_cache, loader, loops, sets
+from napari_hmrf.compute.compile_cache.compiler import Stage
+from napari_hmrf.compute.compile_cache.watch import watched
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.field.deformation import smallest_determinant
 from napari_hmrf.field.live_warp import Picture, Warper
 from napari_hmrf.field.strain import small_strain
 from napari_hmrf.field.warp import warp
-from napari_hmrf.solver.backends.compile_cache import compiler, disk_cache, loader, loops, sets
-from napari_hmrf.solver.backends.compile_cache.compiler import Stage
-from napari_hmrf.solver.backends.compile_cache.watch import watched
-from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.optimizers import ICM, Multigrid
 from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, SeilerPrior
 from napari_hmrf.solver.problem import Problem

@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 from napari_hmrf import commands
 from napari_hmrf.augmentation.ground_truth import Truth, write_truth
+from napari_hmrf.compute.compile_cache.loops import are_compiled
+from napari_hmrf.compute.compile_cache.sets import EVERYTHING, VOLUMES
 from napari_hmrf.errors import HmrfError, in_words
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.field.warp import has_volume_loops
@@ -41,8 +43,6 @@ from napari_hmrf.samples.head import SAMPLE_SIZE as VOLUME_SIZE
 from napari_hmrf.samples.phantoms import PHANTOM_NAMES, SMALLEST
 from napari_hmrf.samples.selftest import selftest
 from napari_hmrf.samples.volume_demo import demonstrate_volume, write_volume_results
-from napari_hmrf.solver.backends.compile_cache.loops import are_compiled
-from napari_hmrf.solver.backends.compile_cache.sets import EVERYTHING, VOLUMES
 from napari_hmrf.solver.model_names import as_word
 from napari_hmrf.solver.optimizers import Monitor, Optimizer
 from napari_hmrf.solver.preparation import provide_loops

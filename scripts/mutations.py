@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from fnmatch import filter as matching
 from pathlib import Path
 
-from napari_hmrf.solver.backends.compile_cache import disk_cache
+from napari_hmrf.compute.compile_cache import disk_cache
 
 ROOT = Path(__file__).resolve().parent.parent
 PACKAGE = "napari_hmrf"

@@ -15,8 +15,8 @@ import scipy.linalg  # noqa: F401 - loads the linear algebra whose threads are l
 from hypothesis import settings
 from threadpoolctl import threadpool_limits
 
-from napari_hmrf.solver.backends.compile_cache import loader
-from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.compute.compile_cache import loader
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.ui.viewer_dock import Dock
 from tests.support import compiled_loops
 from tests.support.compile_once import compile_most, compile_once

@@ -11,12 +11,12 @@ import pytest
 
 import napari_hmrf
 from napari_hmrf import SeilerPrior, Solution, cli, run, solve
+from napari_hmrf.compute.compile_cache.sets import EVERYTHING, VOLUMES
 from napari_hmrf.data import phantom
 from napari_hmrf.field.frame import PATIENT_AXES
 from napari_hmrf.io import figures
 from napari_hmrf.io.study_file import read_study
 from napari_hmrf.samples import selftest
-from napari_hmrf.solver.backends.compile_cache.sets import EVERYTHING, VOLUMES
 from napari_hmrf.solver.optimizers import Monitor
 
 #: Rows of the table that compare a sample with a finite-element field.

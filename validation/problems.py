@@ -19,9 +19,9 @@ import numpy.typing as npt
 import scipy.ndimage as ndi
 
 from napari_hmrf import ElasticPrior, NeoHookeanPrior, Problem, SeilerPrior
+from napari_hmrf.field.neighbours import around_sites, in_elements, sites_of_elements
 from napari_hmrf.landmarks import Landmarks, StrainScale
 from napari_hmrf.loads import Loads, cavity, growth, weight
-from napari_hmrf.solver.neighbours import around_sites, in_elements, sites_of_elements
 from napari_hmrf.solver.unconnected import scraps
 from napari_hmrf.tissue import SlidingParts
 from validation.bodies import Array, Dice, Flags, Shape, dice_of, offsets, turned

@@ -31,8 +31,8 @@ import numpy.typing as npt
 from benchmarks.clock import conditions
 from benchmarks.table import head, line, markdown, replace
 from napari_hmrf import BackendError
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.fields import deformation_grid
-from napari_hmrf.solver.backends.thread import compute_thread
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = ROOT / "docs" / "validation"

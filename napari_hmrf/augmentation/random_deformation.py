@@ -35,15 +35,15 @@ from napari_hmrf.augmentation.unit_solutions import (
     solve_units,
 )
 from napari_hmrf.checks import Count, NotNegative, Positive, Words, convert
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.errors import ArgumentError, ProblemError
 from napari_hmrf.field.live_warp import Picture, Warper
 from napari_hmrf.field.moved_points import moved_points, refuse_outside
 from napari_hmrf.field.resample import as_image, emptiness
-from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.real_arrays import as_numbers, checked_spacing, whole_numbers
 from napari_hmrf.solver.elasticity import Elasticity
 from napari_hmrf.solver.optimizers.base import Convergence
 from napari_hmrf.solver.priors import ElasticPrior
-from napari_hmrf.solver.problem import as_numbers, checked_spacing, whole_numbers
 from napari_hmrf.solver.solution import SUM, Provenance, Solution
 from napari_hmrf.study.study import Grid, Study
 from napari_hmrf.tissue.boundary_rules import (

@@ -15,9 +15,8 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat
 
 from napari_hmrf.archive import STORED
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.real_arrays import FiniteArray, grid_in_words
 from napari_hmrf.solver.optimizers import Multigrid
-from napari_hmrf.solver.problem import grid_in_words
-from napari_hmrf.solver.real_arrays import FiniteArray
 from napari_hmrf.study.ground import solve_study
 from napari_hmrf.study.study import Grid, Motion, Study, Tissue
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material, stiffness_image

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.problem import as_numbers
+from napari_hmrf.real_arrays import as_numbers
 
 # Weights of red, green and blue in the luminance (ITU-R BT.709).
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)

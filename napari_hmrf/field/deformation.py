@@ -14,7 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.arguments import is_whole, real, shown
+from napari_hmrf.compute.compile_cache import loader, loops
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.field.followers import Followers, followers_of
 from napari_hmrf.field.parts import Sites, in_one_part, same_part
 from napari_hmrf.field.slabs import slabs, with_neighbours
 from napari_hmrf.field.warp import (
@@ -26,11 +29,7 @@ from napari_hmrf.field.warp import (
     moved_sites,
     numbered_sites,
 )
-from napari_hmrf.solver.backends.compile_cache import loader, loops
-from napari_hmrf.solver.backends.thread import compute_thread
-from napari_hmrf.solver.followers import Followers, followers_of
-from napari_hmrf.solver.problem import grid_in_words
-from napari_hmrf.solver.real_arrays import as_mask, check_finite
+from napari_hmrf.real_arrays import as_mask, check_finite, grid_in_words
 
 FloatArray = npt.NDArray[np.float32]
 
@@ -123,7 +122,7 @@ def jacobian_determinant(
     A value of 1 means unchanged size, below 1 shrinkage, above 1 growth, and 0 or below a fold.
     Differences are central, or one-sided if a neighbour is missing. A site in no element, such as
     the tip of a disc, has the determinant of the affine motion that it follows; see
-    `napari_hmrf.solver.followers`. If it follows no other tissue and both neighbours along an axis
+    `napari_hmrf.field.followers`. If it follows no other tissue and both neighbours along an axis
     are missing, it is assumed to be unstrained along that axis.
 
     Parameters

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from napari_hmrf.field.inverse_field import Inverse, inverse_displacement, origins_at
 from napari_hmrf.field.moved_points import interpolate_linearly
 from napari_hmrf.geometry import Geometry
-from napari_hmrf.solver.problem import grid_in_words
+from napari_hmrf.real_arrays import grid_in_words
 
 
 @dataclass(frozen=True, eq=False)

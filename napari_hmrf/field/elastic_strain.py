@@ -33,6 +33,8 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.field.followers import followers_of
+from napari_hmrf.field.neighbours import around_sites, of_corners
 from napari_hmrf.field.parts import Sites, in_one_part
 from napari_hmrf.field.strain import (
     gradient_of_differences,
@@ -42,10 +44,8 @@ from napari_hmrf.field.strain import (
     values_by_parts,
 )
 from napari_hmrf.field.warp import BoolArray, Float64Array
+from napari_hmrf.real_arrays import FloatArray
 from napari_hmrf.solver.elasticity import Elasticity
-from napari_hmrf.solver.followers import followers_of
-from napari_hmrf.solver.neighbours import around_sites, of_corners
-from napari_hmrf.solver.real_arrays import FloatArray
 from napari_hmrf.solver.solution import Solution
 
 #: Kinds of strain: elastic strain; total strain within an image; total strain of a volume.

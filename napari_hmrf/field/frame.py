@@ -15,7 +15,7 @@ from napari_hmrf.archive import first_fault
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.units import is_unit, unit_factor, unit_symbol
 from napari_hmrf.geometry import Geometry
-from napari_hmrf.solver.problem import grid_in_words
+from napari_hmrf.real_arrays import grid_in_words
 from napari_hmrf.solver.solution import Solution
 
 Matrix = tuple[tuple[float, ...], ...]

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from napari_hmrf.solver.backends.compile_cache.threaded import portion, threaded
+from napari_hmrf.compute.compile_cache.threaded import portion, threaded
 
 
 @threaded()

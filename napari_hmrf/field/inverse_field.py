@@ -12,7 +12,7 @@ import scipy
 
 from napari_hmrf.field.moved_points import interpolate_linearly, interpolate_with_slopes
 from napari_hmrf.field.warp import as_field, inverse_map
-from napari_hmrf.solver.real_arrays import as_mask
+from napari_hmrf.real_arrays import as_mask
 
 Float64Array = npt.NDArray[np.float64]
 

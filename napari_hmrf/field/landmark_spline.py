@@ -13,8 +13,7 @@ import numpy.typing as npt
 import scipy
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.problem import checked_spacing
-from napari_hmrf.solver.real_arrays import as_numbers, first_index
+from napari_hmrf.real_arrays import as_numbers, checked_spacing, first_index
 from napari_hmrf.solver.uncertain_landmarks import Landmarks, corners_of
 
 Float64Array = npt.NDArray[np.float64]

@@ -16,6 +16,8 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.arguments import is_whole, shown
+from napari_hmrf.compute.compile_cache import compiler, loader, loops
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field import triangle_arrays
 from napari_hmrf.field.parts import part_numbers
@@ -29,9 +31,7 @@ from napari_hmrf.field.resample import (
 )
 from napari_hmrf.field.volume_slice import SliceOrigins, slice_origins
 from napari_hmrf.field.warp import checked_sizes, inverse_raster_of_parts, moved_sites
-from napari_hmrf.solver.backends.compile_cache import compiler, loader, loops
-from napari_hmrf.solver.backends.thread import compute_thread
-from napari_hmrf.solver.problem import as_numbers
+from napari_hmrf.real_arrays import as_numbers
 
 #: Description of the task for other users of the compute thread.
 _DOING = "warping pictures"

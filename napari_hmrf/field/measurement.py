@@ -17,7 +17,7 @@ from napari_hmrf.field.parts import Sites, in_one_part
 from napari_hmrf.field.strain import equivalent_strain, fold_mask, magnitude
 from napari_hmrf.field.stress import hydrostatic_pressure, stress_values, von_mises_stress
 from napari_hmrf.field.warp import Float64Array, numbered_sites
-from napari_hmrf.solver.problem import as_numbers, grid_in_words, whole_numbers
+from napari_hmrf.real_arrays import as_numbers, grid_in_words, whole_numbers
 from napari_hmrf.solver.solution import Solution
 
 # Number of planes of cells processed together.

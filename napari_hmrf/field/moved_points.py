@@ -9,7 +9,7 @@ import numpy.typing as npt
 import scipy
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.problem import as_numbers, grid_in_words
+from napari_hmrf.real_arrays import as_numbers, grid_in_words
 
 #: Numbers of line segments that replace each side of a rectangle, and an ellipse.
 _PIECES, _ROUND = 8, 64

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.displacement_field import Field
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.solver.problem import grid_in_words
+from napari_hmrf.real_arrays import grid_in_words
 from napari_hmrf.solver.solution import Solution
 
 #: Distance, in pixels, by which a field extends beyond the centres of its outermost pixels.

@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.neighbours import pairs
-from napari_hmrf.solver.problem import whole_numbers
+from napari_hmrf.field.neighbours import pairs
+from napari_hmrf.real_arrays import whole_numbers
 
 BoolArray = npt.NDArray[np.bool_]
 #: Number of the part of each site, 0 outside tissue; or the mask of connected tissue.

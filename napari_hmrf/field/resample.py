@@ -11,11 +11,11 @@ import numpy.typing as npt
 import scipy
 
 from napari_hmrf.arguments import real, shown
+from napari_hmrf.compute.compile_cache import loader, loops
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.slabs import slabs
-from napari_hmrf.solver.backends.compile_cache import loader, loops
-from napari_hmrf.solver.backends.thread import compute_thread
-from napari_hmrf.solver.problem import as_numbers
+from napari_hmrf.real_arrays import as_numbers
 from napari_hmrf.solver.solution import Solution
 
 Float64Array = npt.NDArray[np.float64]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.compute.thread import compute_thread
 
 #: Number of voxels of a slab per core; the slowest loop processes them in a sixth of a second.
 VOXELS = 2**20

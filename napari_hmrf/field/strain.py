@@ -10,7 +10,7 @@ H = dd/dX and the deformation gradient F = I + H,
 
 Differences are central, or one-sided if a neighbour is missing, and do not cross the border of the
 tissue or of a part that slides. A site in no element, a block of two sites along each axis, has the
-gradient of the affine motion that it follows (`napari_hmrf.solver.followers`); if it follows no
+gradient of the affine motion that it follows (`napari_hmrf.field.followers`); if it follows no
 other tissue and both neighbours along an axis are missing, it is assumed to be unstrained along
 that axis. `jacobian_determinant` uses the same differences and equals det F.
 Tensors are in (row, col) order: H[..., 0, 1] is the derivative of the row component with respect to
@@ -25,6 +25,8 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.compute.compile_cache import loader, loops
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.deformation import (
     FloatArray,
@@ -44,9 +46,7 @@ from napari_hmrf.field.warp import (
     checked_sizes,
     numbered_sites,
 )
-from napari_hmrf.solver.backends.compile_cache import loader, loops
-from napari_hmrf.solver.backends.thread import compute_thread
-from napari_hmrf.solver.problem import as_numbers
+from napari_hmrf.real_arrays import as_numbers
 
 __all__ = [
     "count_folds",

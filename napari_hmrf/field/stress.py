@@ -28,15 +28,15 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.arguments import is_one_of, refuse_unless
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.deformation import FloatArray
 from napari_hmrf.field.elastic_strain import growth_at, strain_of_gradient
+from napari_hmrf.field.neighbours import around_sites, of_corners, pairs
 from napari_hmrf.field.parts import in_one_part, part_numbers
 from napari_hmrf.field.warp import BoolArray, Float64Array
-from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.real_arrays import as_numbers
 from napari_hmrf.solver.elasticity import Elasticity
-from napari_hmrf.solver.neighbours import around_sites, of_corners, pairs
-from napari_hmrf.solver.problem import as_numbers
 from napari_hmrf.solver.solution import Solution
 
 Place = Literal["sites", "elements"]

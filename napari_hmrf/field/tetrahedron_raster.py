@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from napari_hmrf.solver.backends.compile_cache.decorators import callee
-from napari_hmrf.solver.backends.compile_cache.threaded import bounds_of_part, portion, threaded
+from napari_hmrf.compute.compile_cache.decorators import callee
+from napari_hmrf.compute.compile_cache.threaded import bounds_of_part, portion, threaded
 
 _callee = callee()
 

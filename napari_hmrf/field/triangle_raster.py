@@ -12,8 +12,8 @@ import math
 
 import numpy as np
 
-from napari_hmrf.solver.backends.compile_cache.decorators import cached, callee
-from napari_hmrf.solver.backends.compile_cache.threaded import bounds_of_part, portion, threaded
+from napari_hmrf.compute.compile_cache.decorators import cached, callee
+from napari_hmrf.compute.compile_cache.threaded import bounds_of_part, portion, threaded
 
 # Decorators for functions that only compiled code calls. `_inlined` avoids a function call for each
 # cell; the calls would take a quarter of the run time.

@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 
-from napari_hmrf.solver.backends.compile_cache.decorators import cached, callee
-from napari_hmrf.solver.backends.compile_cache.threaded import portion, threaded
+from napari_hmrf.compute.compile_cache.decorators import cached, callee
+from napari_hmrf.compute.compile_cache.threaded import portion, threaded
 
 _callee = callee()
 

@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from napari_hmrf.compute.compile_cache import loader, loops
 from napari_hmrf.field.resample import emptiness
 from napari_hmrf.field.warp import inverse_raster, moved_sites
-from napari_hmrf.solver.backends.compile_cache import loader, loops
 
 Array = npt.NDArray[Any]
 #: Distance beyond the thickness of a cut, in voxels, at which voxels are still visible, because the

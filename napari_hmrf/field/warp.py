@@ -23,14 +23,14 @@ import numpy.typing as npt
 import scipy
 
 from napari_hmrf.arguments import reals, shown
+from napari_hmrf.compute.compile_cache import compiler, loader, loops
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field import triangle_arrays
 from napari_hmrf.field.parts import Sites, part_numbers
 from napari_hmrf.field.resample import as_image, resample
 from napari_hmrf.field.slabs import slabs
-from napari_hmrf.solver.backends.compile_cache import compiler, loader, loops
-from napari_hmrf.solver.backends.thread import compute_thread
-from napari_hmrf.solver.real_arrays import as_mask, as_numbers
+from napari_hmrf.real_arrays import as_mask, as_numbers
 
 Float64Array = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]

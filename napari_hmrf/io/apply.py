@@ -31,8 +31,7 @@ from napari_hmrf.io.landmark_files import (
 )
 from napari_hmrf.io.landmark_frames import geometry_for, refuse_stored_axes
 from napari_hmrf.io.study_file import is_study_file, read_solved
-from napari_hmrf.solver.problem import grid_in_words
-from napari_hmrf.solver.real_arrays import whole_numbers
+from napari_hmrf.real_arrays import grid_in_words, whole_numbers
 from napari_hmrf.solver.solution import Solution, is_solution_file
 
 Pixels = npt.NDArray[Any]

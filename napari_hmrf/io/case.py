@@ -39,12 +39,11 @@ from napari_hmrf.io.segmentation_tables import tissue_table
 from napari_hmrf.io.study_file import is_study_file, read_study, write_study
 from napari_hmrf.io.sweeps import Change, changed, with_ratio
 from napari_hmrf.io.tables import read_rules
+from napari_hmrf.real_arrays import check_int32, grid_in_words, whole_numbers
 from napari_hmrf.solver.drift import drift_clauses
 from napari_hmrf.solver.model_names import ELASTIC, MODELS, as_word
 from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid
 from napari_hmrf.solver.priors import Elastic, NeoHookeanPrior, Prior
-from napari_hmrf.solver.problem import grid_in_words, whole_numbers
-from napari_hmrf.solver.real_arrays import check_int32
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import Progress
 from napari_hmrf.solver.volume_memory import STUDY, WARP, make_room, require_memory

@@ -35,7 +35,7 @@ from napari_hmrf.io.itk_files import (
     read_itk_vectors,
     require_simpleitk,
 )
-from napari_hmrf.solver.problem import as_numbers, grid_in_words
+from napari_hmrf.real_arrays import as_numbers, grid_in_words
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.study import Grid
 

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.field.animation import Moment, Motion
-from napari_hmrf.solver.backends.thread import compute_thread
 
 Array = npt.NDArray[Any]
 Bytes = npt.NDArray[np.uint8]

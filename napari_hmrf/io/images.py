@@ -27,8 +27,8 @@ from napari_hmrf.io.decoded import Decoded, Unreadable
 from napari_hmrf.io.dicom_slices import is_contents, is_dicom
 from napari_hmrf.io.itk_files import encode, itk_shape, read_itk_image, read_itk_series
 from napari_hmrf.io.itk_reader import resampled
+from napari_hmrf.real_arrays import grid_in_words
 from napari_hmrf.regular_file import refuse_irregular
-from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import is_solution_file
 
 #: Axes of .tif files that are not axes of space, with their content, and the unit of OME's sizes.

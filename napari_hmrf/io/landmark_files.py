@@ -32,7 +32,7 @@ from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import FileFormatError, ProblemError
 from napari_hmrf.field.units import unit_factor
 from napari_hmrf.io.table_files import csv_text, read_cells, split_cells, text_of
-from napari_hmrf.solver.problem import as_numbers
+from napari_hmrf.real_arrays import as_numbers
 
 Points = npt.NDArray[np.float64]
 

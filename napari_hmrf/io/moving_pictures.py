@@ -15,12 +15,12 @@ import numpy.typing as npt
 from napari_hmrf.arguments import checked_path, refuse_unless, require_kind
 from napari_hmrf.atomic_write import temporary_beside, write_whole
 from napari_hmrf.checks import Count, Samples, convert
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.extras import how_to_install
 from napari_hmrf.field.animation import Motion
 from napari_hmrf.field.moved_pictures import MovedPictures
 from napari_hmrf.io.film_overlay import FilmOverlay
-from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.solution import Solution
 
 #: Suffixes of animation files.

@@ -31,11 +31,11 @@ from napari_hmrf.io.landmark_frames import in_pixels
 from napari_hmrf.io.overwriting import refuse_overwriting
 from napari_hmrf.io.study_file import is_study_file, write_study
 from napari_hmrf.io.sweeps import with_ratio
+from napari_hmrf.real_arrays import grid_in_words
 from napari_hmrf.registration.alignment import align
 from napari_hmrf.registration.register import register
 from napari_hmrf.registration.result import Registration
 from napari_hmrf.solver.optimizers import Monitor
-from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import Progress
 from napari_hmrf.solver.uncertain_landmarks import Landmarks, are_outside

@@ -22,7 +22,7 @@ from napari_hmrf.io.uncertainty_files import uncertainty_paths, write_uncertaint
 from napari_hmrf.posterior import Uncertainty
 from napari_hmrf.posterior.study_landmarks import LandmarkTest, examine_landmarks
 from napari_hmrf.posterior.study_uncertainty import ground_uncertainty
-from napari_hmrf.solver.problem import grid_in_words
+from napari_hmrf.real_arrays import grid_in_words
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import Progress
 from napari_hmrf.study.ground import Ground

@@ -35,7 +35,7 @@ from napari_hmrf.layers.result_layers import layer_on
 from napari_hmrf.layers.slice_view import View, check_size, frame_of, plane_shape, view_of
 from napari_hmrf.layers.stored_axes import stored_axes
 from napari_hmrf.layers.viewer_layers import shared
-from napari_hmrf.solver.problem import grid_in_words
+from napari_hmrf.real_arrays import grid_in_words
 from napari_hmrf.solver.volume_memory import STUDY, require_memory
 from napari_hmrf.study.session import BRIGHTNESS, ImageChoice, Part, Session
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue

@@ -29,8 +29,8 @@ import numpy.typing as npt
 import scipy
 
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.field.neighbours import sites_of_elements
 from napari_hmrf.solver.connected import connected
-from napari_hmrf.solver.neighbours import sites_of_elements
 from napari_hmrf.solver.operator import Operator
 from napari_hmrf.solver.optimizers import Monitor, Multigrid
 from napari_hmrf.solver.priors import ElasticPrior

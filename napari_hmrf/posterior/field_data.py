@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.problem import Problem, as_numbers
+from napari_hmrf.real_arrays import as_numbers
+from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.uncertain_landmarks import Landmarks, interpolated
 
 Float64Array = npt.NDArray[np.float64]

@@ -32,12 +32,13 @@ from napari_hmrf.posterior.field_data import FieldData
 from napari_hmrf.posterior.pair_data import ImagePairData
 from napari_hmrf.posterior.sampling import checked_prior
 from napari_hmrf.posterior.uncertainty import checked_labels
+from napari_hmrf.real_arrays import as_numbers
 from napari_hmrf.registration.matching import Images, schedule
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.operator import Operator
 from napari_hmrf.solver.optimizers import Monitor, Multigrid
 from napari_hmrf.solver.priors import Elastic, ElasticPrior, NeoHookeanPrior, Prior
-from napari_hmrf.solver.problem import Problem, as_numbers, variant_of
+from napari_hmrf.solver.problem import Problem, variant_of
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, check_arguments, solve
 from napari_hmrf.solver.uncertain_landmarks import Landmarks

@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.neighbours import corner_slices
+from napari_hmrf.field.neighbours import corner_slices
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.priors.elements import element_stiffness
 from napari_hmrf.solver.priors.growth import slabs

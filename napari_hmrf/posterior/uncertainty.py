@@ -20,10 +20,11 @@ from napari_hmrf.errors import ProblemError
 from napari_hmrf.posterior.noise import PosteriorNoise
 from napari_hmrf.posterior.sampling import Sampler, checked_prior, energy_of
 from napari_hmrf.posterior.tissue_box import TissueBox
+from napari_hmrf.real_arrays import as_numbers, whole_numbers
 from napari_hmrf.solver.operator import Operator
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors import Prior
-from napari_hmrf.solver.problem import Problem, as_numbers, whole_numbers
+from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, check_arguments
 from napari_hmrf.solver.uncertain_landmarks import StrainScale

@@ -17,6 +17,7 @@ import scipy
 
 from napari_hmrf.errors import Cancelled
 from napari_hmrf.field.deformation import smallest_determinant
+from napari_hmrf.field.neighbours import in_elements
 from napari_hmrf.registration.image_data import (
     BoolArray,
     Checkpoint,
@@ -27,7 +28,6 @@ from napari_hmrf.registration.image_data import (
 from napari_hmrf.registration.rigid_bodies import turned, with_rigid_held
 from napari_hmrf.solver.data_term import combined_data
 from napari_hmrf.solver.loads import Loads
-from napari_hmrf.solver.neighbours import in_elements
 from napari_hmrf.solver.optimizers import Monitor, Multigrid
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.problem import Problem

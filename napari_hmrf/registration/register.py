@@ -14,13 +14,13 @@ from napari_hmrf.checks import Positive, convert
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.brightness import luminance
 from napari_hmrf.field.warp import Spacing
+from napari_hmrf.real_arrays import as_mask, as_numbers, checked_spacing
 from napari_hmrf.registration.alignment import align, matrix_in_pixels
 from napari_hmrf.registration.image_data import BoolArray, FloatArray
 from napari_hmrf.registration.matching import Images, Match, Show, match, placeholder
 from napari_hmrf.registration.result import Registration
 from napari_hmrf.solver.priors import ElasticPrior
-from napari_hmrf.solver.problem import Problem, as_numbers, as_stiffness, checked_spacing
-from napari_hmrf.solver.real_arrays import as_mask
+from napari_hmrf.solver.problem import Problem, as_stiffness
 from napari_hmrf.solver.solve import CancelFlag, Progress
 from napari_hmrf.solver.uncertain_landmarks import Landmarks, typical_stiffness
 from napari_hmrf.solver.volume_memory import REGISTRATION, require_memory

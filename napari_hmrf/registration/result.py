@@ -12,10 +12,10 @@ import numpy.typing as npt
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.inverse_field import Inverse, inverse_displacement
 from napari_hmrf.field.resample import sampled
+from napari_hmrf.real_arrays import as_numbers
 from napari_hmrf.registration.alignment import matrix_in_pixels
 from napari_hmrf.registration.matching import Step
 from napari_hmrf.solver.priors import ElasticPrior
-from napari_hmrf.solver.problem import as_numbers
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.uncertain_landmarks import Landmarks
 from napari_hmrf.study.measured_motion import MeasuredMotion

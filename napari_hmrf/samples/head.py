@@ -15,8 +15,9 @@ import scipy
 
 from napari_hmrf.checks import Number, convert
 from napari_hmrf.field.frame import PATIENT_AXES, Frame
+from napari_hmrf.real_arrays import grid_in_words
 from napari_hmrf.samples.phantoms import checked_size
-from napari_hmrf.solver.problem import Problem, grid_in_words
+from napari_hmrf.solver.problem import Problem
 from napari_hmrf.tissue.boundary_rules import (
     BoundaryRule,
     Material,

@@ -19,9 +19,10 @@ import scipy
 
 from napari_hmrf.arguments import is_one_of, refuse_unless, shown
 from napari_hmrf.errors import ArgumentError
+from napari_hmrf.real_arrays import grid_in_words
 from napari_hmrf.resources import resource_folder
 from napari_hmrf.samples import PhantomName
-from napari_hmrf.solver.problem import Problem, grid_in_words
+from napari_hmrf.solver.problem import Problem
 from napari_hmrf.tissue.boundary_rules import (
     BoundaryRule,
     Material,

@@ -18,12 +18,12 @@ from typing import Any
 
 import numpy as np
 
+from napari_hmrf.compute.compile_cache import loops
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.errors import BackendError, HmrfError
 from napari_hmrf.samples.phantoms import phantom
 from napari_hmrf.solver.backends.choice import open_backend
-from napari_hmrf.solver.backends.compile_cache import loops
 from napari_hmrf.solver.backends.job import SolveJob
-from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.optimizers import ICM, Multigrid
 from napari_hmrf.solver.priors import ElasticPrior, SeilerPrior
 from napari_hmrf.solver.problem import Problem

@@ -8,16 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
+from napari_hmrf.compute.compile_cache.sets import EVERYTHING
 from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.io.figures import write_volume_pictures
 from napari_hmrf.io.study_file import write_study
+from napari_hmrf.real_arrays import grid_in_words
 from napari_hmrf.samples.head import GROWTH, TUMOUR, HeadPhantom, head_phantom
-from napari_hmrf.solver.backends.compile_cache.sets import EVERYTHING
 from napari_hmrf.solver.backends.job import SolveJob
 from napari_hmrf.solver.model_names import in_words
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.preparation import provide_loops
-from napari_hmrf.solver.problem import grid_in_words
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.ground import solve_study
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue

@@ -19,10 +19,10 @@ import scipy
 
 from napari_hmrf.arguments import real, shown
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.field.neighbours import around_sites, in_elements, of_corners, pairs
+from napari_hmrf.real_arrays import as_float32, as_mask, check_finite, checked_spacing
 from napari_hmrf.solver.loads import Loads
-from napari_hmrf.solver.neighbours import around_sites, in_elements, of_corners, pairs
-from napari_hmrf.solver.problem import check_each_stiffness, checked_spacing
-from napari_hmrf.solver.real_arrays import as_float32, as_mask, check_finite
+from napari_hmrf.solver.problem import check_each_stiffness
 
 Float64Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]

@@ -21,9 +21,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.followers import Followers, around, find_followers, followers_of, remembered
+from napari_hmrf.field.followers import Followers, around, find_followers, followers_of, remembered
+from napari_hmrf.field.neighbours import in_elements
 from napari_hmrf.solver.loads import Loads
-from napari_hmrf.solver.neighbours import in_elements
 from napari_hmrf.solver.priors import Prior, SeilerPrior
 from napari_hmrf.solver.priors.seiler import in_cliques
 from napari_hmrf.solver.problem import Problem, variant_of

@@ -23,11 +23,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.precision import are_equal
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.uncertain_landmarks import corner_shares, corners_of
-from napari_hmrf.solver.workspace import Kept
 
 Float64Array = npt.NDArray[np.float64]
 Planes = npt.NDArray[np.float64]

@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.connected import connected
 from napari_hmrf.solver.loads import Loads
@@ -37,7 +38,6 @@ from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.uncertain_landmarks import interpolated
 from napari_hmrf.solver.volume_memory import check_memory
 from napari_hmrf.solver.warm_start import Initial
-from napari_hmrf.solver.workspace import Kept
 
 Float64Array = npt.NDArray[np.float64]
 Progress = Callable[[Monitor], None]

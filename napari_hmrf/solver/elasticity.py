@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.real_arrays import FloatArray
 from napari_hmrf.solver.model_names import Plane
 from napari_hmrf.solver.priors import Elastic, ElasticPrior, NeoHookeanPrior
 from napari_hmrf.solver.problem import Problem
-from napari_hmrf.solver.real_arrays import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

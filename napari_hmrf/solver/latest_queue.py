@@ -15,8 +15,8 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future
 
+from napari_hmrf.compute.thread import STOPPED, compute_thread
 from napari_hmrf.errors import Cancelled
-from napari_hmrf.solver.backends.thread import STOPPED, compute_thread
 
 _log = logging.getLogger("napari_hmrf")
 

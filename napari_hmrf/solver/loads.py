@@ -11,9 +11,9 @@ import numpy.typing as npt
 from napari_hmrf.arguments import reals, shown
 from napari_hmrf.checks import LARGEST_GROWTH
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.followers import followers_of
-from napari_hmrf.solver.neighbours import sites_of_elements
-from napari_hmrf.solver.real_arrays import (
+from napari_hmrf.field.followers import followers_of
+from napari_hmrf.field.neighbours import sites_of_elements
+from napari_hmrf.real_arrays import (
     FloatArray,
     as_float32,
     check_finite,

@@ -17,12 +17,12 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import ConvergenceError
+from napari_hmrf.field.neighbours import sites_of_elements
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.base import Backend
 from napari_hmrf.solver.backends.linear import Planes
 from napari_hmrf.solver.connected import connected
 from napari_hmrf.solver.loads import Loads
-from napari_hmrf.solver.neighbours import sites_of_elements
 from napari_hmrf.solver.optimizers import Multigrid
 from napari_hmrf.solver.optimizers.base import Report
 from napari_hmrf.solver.optimizers.cycle import smoothing_of

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.real_arrays import as_numbers, check_finite, first_index
-from napari_hmrf.solver.workspace import Kept
+from napari_hmrf.real_arrays import as_numbers, check_finite, first_index
 
 Float64Array = npt.NDArray[np.float64]
 

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from napari_hmrf.compute.compile_cache import compiler, loops, sets
+from napari_hmrf.compute.compile_cache.compiler import Stage
+from napari_hmrf.compute.compile_cache.watch import watched
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.base import Backend
-from napari_hmrf.solver.backends.compile_cache import compiler, loops, sets
-from napari_hmrf.solver.backends.compile_cache.compiler import Stage
-from napari_hmrf.solver.backends.compile_cache.watch import watched
 from napari_hmrf.solver.backends.earlier_results import WarmStart
 from napari_hmrf.solver.backends.job import SolveJob
 from napari_hmrf.solver.optimizers import Monitor, Multigrid, Optimizer

@@ -5,30 +5,34 @@ from __future__ import annotations
 import copy
 import hashlib
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from numbers import Real
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.arguments import reals, require_kind, shown
+from napari_hmrf.arguments import require_kind, shown
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.real_arrays import FloatArray as FloatArray
+from napari_hmrf.real_arrays import (
+    as_float32,
+    as_numbers,
+    check_finite,
+    checked_spacing,
+    first_index,
+    grid_in_words,
+    how_many,
+)
 from napari_hmrf.solver.coupling import Coupling
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.precision import MAX_PRECISION, checked_precision
-from napari_hmrf.solver.real_arrays import FloatArray as FloatArray
-from napari_hmrf.solver.real_arrays import as_float32, check_finite, first_index, how_many
-from napari_hmrf.solver.real_arrays import as_numbers as as_numbers
-from napari_hmrf.solver.real_arrays import whole_numbers as whole_numbers
 from napari_hmrf.solver.sliding_parts import SlidingParts
 from napari_hmrf.solver.uncertain_landmarks import Landmarks, corner_shares
 
 #: Largest ratio between two stiffnesses for which single precision is sufficient.
 MAX_STIFFNESS_RATIO = 1e7
-_SMALLEST_PIXEL = 1e-15
 _SMALLEST_STIFFNESS = 1e-30
 # Default spacing, recognized by identity.
 _EVEN = (1.0, 1.0)
@@ -378,11 +382,6 @@ class _Digests(Mapping[str, str]):
         return repr(dict(self))
 
 
-def grid_in_words(sizes: Iterable[float]) -> str:
-    """Format sizes along the axes for display: "300 x 200"."""
-    return " x ".join(f"{size:g}" for size in sizes)
-
-
 def as_stiffness(stiffness: npt.ArrayLike) -> FloatArray:
     """Copy a stiffness image to float32, validated as in a `Problem`.
 
@@ -410,23 +409,6 @@ def _as_image(stiffness: npt.ArrayLike, axes: tuple[int, ...] = (2, 3)) -> Float
             f"has shape {image.shape}, but a 2-D image (H, W){volume} is needed. {hint}".rstrip(),
         )
     return image
-
-
-def checked_spacing(spacing: object, ndim: int) -> tuple[float, ...]:
-    """Return the validated pixel size along `ndim` axes; a number applies to all axes."""
-    values = reals((spacing,) * ndim if isinstance(spacing, Real) else spacing, ndim)
-    if not all(0 < size < math.inf for size in values):
-        raise ProblemError(
-            "spacing",
-            f"is {shown(spacing)}. Pass {ndim} positive, finite pixel sizes, in the order of the "
-            "axes.",
-        )
-    if not all(_SMALLEST_PIXEL <= size <= 1 / _SMALLEST_PIXEL for size in values):
-        raise ProblemError(
-            "spacing",
-            f"is {values}. Choose a unit of length with less extreme pixel sizes.",
-        )
-    return values
 
 
 def _check_grid(m: FloatArray) -> None:

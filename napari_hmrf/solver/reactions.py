@@ -7,13 +7,14 @@ import numpy.typing as npt
 
 from napari_hmrf.arguments import require_kind
 from napari_hmrf.errors import ArgumentError
+from napari_hmrf.real_arrays import grid_in_words
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.rigid.bodies import Bodies, bodies_of
 from napari_hmrf.solver.connected import connected
 from napari_hmrf.solver.data_term import DataTerm
 from napari_hmrf.solver.drift import has_drift, with_drift_of
 from napari_hmrf.solver.priors import NeoHookeanPrior
-from napari_hmrf.solver.problem import Problem, grid_in_words
+from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
 
 #: Relative difference up to which spacings count as equal.

@@ -17,13 +17,13 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from napari_hmrf.compute.thread import compute_thread
+from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.backends.thread import compute_thread
-from napari_hmrf.solver.neighbours import around_sites, in_elements
+from napari_hmrf.field.neighbours import around_sites, in_elements
 from napari_hmrf.solver.precision import are_equal
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.uncertain_landmarks import Landmarks, corners_of
-from napari_hmrf.solver.workspace import Kept
 
 # Largest strength of a constraint, relative to the strongest one, that counts as rounding error.
 _ROUNDING = 1e-9

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from napari_hmrf.arguments import real, refuse_unless
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.real_arrays import as_int32
+from napari_hmrf.real_arrays import as_int32
 
 #: Stiffness of the connection along the normal, relative to the softer of the two tissues.
 STRENGTH = 100.0

@@ -12,16 +12,16 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.field.neighbours import around_sites, in_elements
 from napari_hmrf.solver.elasticity import Elasticity
-from napari_hmrf.solver.neighbours import around_sites, in_elements
 from napari_hmrf.solver.optimizers import Multigrid, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.unfolded import UnfoldedProblem, unfolded
 from napari_hmrf.solver.warm_start import Initial
-from napari_hmrf.solver.workspace import Kept
 
 Float64Array = npt.NDArray[np.float64]
 #: Function that solves an unfolded problem with a prior, from a warm start.

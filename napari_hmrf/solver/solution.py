@@ -15,12 +15,11 @@ from pydantic import FailFast, Field, PositiveFloat
 from napari_hmrf.archive import STORED, Archive
 from napari_hmrf.arguments import is_one_of, refuse_unless, require_flag, shown
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.real_arrays import FiniteArray, grid_in_words
 from napari_hmrf.solver.elasticity import Elasticity
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.model_names import model_name
 from napari_hmrf.solver.optimizers.base import Convergence, LevelRun, Reach
-from napari_hmrf.solver.problem import grid_in_words
-from napari_hmrf.solver.real_arrays import FiniteArray
 
 if TYPE_CHECKING:
     from napari_hmrf.field.measurement import LabelBars, Measurement

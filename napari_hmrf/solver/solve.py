@@ -19,6 +19,9 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.arguments import require_flag, shown
+from napari_hmrf.compute.compile_cache import sets
+from napari_hmrf.compute.compile_cache.loops import are_compiled
+from napari_hmrf.compute.thread import STOPPED, compute_thread
 from napari_hmrf.errors import (
     ArgumentError,
     BackendError,
@@ -29,11 +32,8 @@ from napari_hmrf.errors import (
 from napari_hmrf.solver.backends import BACKEND_NAMES, host
 from napari_hmrf.solver.backends.base import Backend
 from napari_hmrf.solver.backends.choice import Choice, open_backend
-from napari_hmrf.solver.backends.compile_cache import sets
-from napari_hmrf.solver.backends.compile_cache.loops import are_compiled
 from napari_hmrf.solver.backends.earlier_results import WarmStart
 from napari_hmrf.solver.backends.job import SolveJob
-from napari_hmrf.solver.backends.thread import STOPPED, compute_thread
 from napari_hmrf.solver.caveats import rigid_caveat
 from napari_hmrf.solver.connected import Connected, connected
 from napari_hmrf.solver.drift import has_drift, solve_with_drift

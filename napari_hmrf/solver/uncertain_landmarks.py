@@ -14,8 +14,8 @@ import numpy.typing as npt
 from napari_hmrf.arguments import require_flag, require_kind
 from napari_hmrf.checks import Penalty, TypicalStrain, checked
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.neighbours import in_elements
-from napari_hmrf.solver.real_arrays import as_numbers, first_index
+from napari_hmrf.field.neighbours import in_elements
+from napari_hmrf.real_arrays import as_numbers, first_index
 
 Float64Array = npt.NDArray[np.float64]
 

@@ -13,10 +13,10 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from napari_hmrf.compute.workspace import Kept
+from napari_hmrf.field.followers import followers_of
 from napari_hmrf.notes import Note
-from napari_hmrf.solver.followers import followers_of
 from napari_hmrf.solver.rigid_modes import HeldTissue, free_pieces
-from napari_hmrf.solver.workspace import Kept
 
 #: Smallest size of an observed piece that is never excluded, as a fraction of all tissue.
 _LARGE_PIECE = 0.01

@@ -12,14 +12,14 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.compute.thread import compute_thread
+from napari_hmrf.compute.workspace import Kept
+from napari_hmrf.field.neighbours import around_sites, in_elements, of_corners
 from napari_hmrf.solver.coupling import Box, Coupling, Index
 from napari_hmrf.solver.interface_normals import interface_normals
 from napari_hmrf.solver.loads import Loads
-from napari_hmrf.solver.neighbours import around_sites, in_elements, of_corners
 from napari_hmrf.solver.priors.elastic import ElasticPrior
 from napari_hmrf.solver.problem import Problem
-from napari_hmrf.solver.workspace import Kept
 
 Mask = npt.NDArray[np.bool_]
 Values = npt.NDArray[Any]

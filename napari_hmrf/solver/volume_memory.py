@@ -8,9 +8,10 @@ from collections.abc import Callable
 
 import psutil
 
+from napari_hmrf.compute.workspace import clear_large
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.problem import Problem, grid_in_words
-from napari_hmrf.solver.workspace import clear_large
+from napari_hmrf.real_arrays import grid_in_words
+from napari_hmrf.solver.problem import Problem
 
 if sys.platform != "win32":
     import resource

@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import ArgumentError
+from napari_hmrf.real_arrays import FloatArray
 from napari_hmrf.solver.backends.earlier_results import WarmStart
 from napari_hmrf.solver.loads import is_equal
 from napari_hmrf.solver.problem import Problem
-from napari_hmrf.solver.real_arrays import FloatArray
 from napari_hmrf.solver.solution import Solution
 
 #: One or more solutions used as a warm start.

@@ -16,6 +16,7 @@ from napari_hmrf.arguments import require_kind
 from napari_hmrf.errors import ArgumentError, LayerError, ProblemError
 from napari_hmrf.field.resample import unknown_values
 from napari_hmrf.notes import Note
+from napari_hmrf.real_arrays import as_int32, first_index, how_many
 from napari_hmrf.solver.body_forces import weight
 from napari_hmrf.solver.caveats import caveats, missing_constraint
 from napari_hmrf.solver.data_term import combined_data
@@ -24,7 +25,6 @@ from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import Elastic, ElasticPrior, Prior
 from napari_hmrf.solver.problem import FloatArray, Problem, as_stiffness, check_reach
-from napari_hmrf.solver.real_arrays import as_int32, first_index, how_many
 from napari_hmrf.solver.sliding_parts import SlidingParts
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, solve

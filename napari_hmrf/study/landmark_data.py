@@ -8,8 +8,8 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.field.neighbours import in_elements
 from napari_hmrf.notes import Note
-from napari_hmrf.solver.neighbours import in_elements
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.uncertain_landmarks import (
     SD_RANGE,

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.real_arrays import as_float32, check_finite
+from napari_hmrf.real_arrays import as_float32, check_finite
 
 FloatArray = npt.NDArray[np.float32]
 

@@ -35,10 +35,10 @@ from napari_hmrf.field.units import (
     is_length,
     may_be_stiffness,
 )
+from napari_hmrf.real_arrays import checked_spacing, grid_in_words, whole_numbers
 from napari_hmrf.solver.model_names import model_name
 from napari_hmrf.solver.optimizers import ICM, Multigrid
 from napari_hmrf.solver.priors import Prior
-from napari_hmrf.solver.problem import checked_spacing, grid_in_words, whole_numbers
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.uncertain_landmarks import StrainScale
 from napari_hmrf.study.measured_motion import MeasuredMotion

@@ -32,7 +32,8 @@ from napari_hmrf.checks import (
     checked,
 )
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.problem import FloatArray, checked_spacing, whole_numbers
+from napari_hmrf.real_arrays import checked_spacing, whole_numbers
+from napari_hmrf.solver.problem import FloatArray
 from napari_hmrf.solver.sliding_parts import SlidingParts
 from napari_hmrf.tissue.normals import outward_normals
 

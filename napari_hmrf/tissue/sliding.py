@@ -18,11 +18,11 @@ import scipy
 
 from napari_hmrf.arguments import real, shown
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.field.neighbours import sites_of_elements
 from napari_hmrf.notes import Note
-from napari_hmrf.solver.neighbours import sites_of_elements
+from napari_hmrf.real_arrays import as_float32, as_int32, checked_spacing
 from napari_hmrf.solver.precision import MAX_PRECISION
-from napari_hmrf.solver.problem import as_stiffness, checked_spacing
-from napari_hmrf.solver.real_arrays import as_float32, as_int32
+from napari_hmrf.solver.problem import as_stiffness
 from napari_hmrf.tissue.normals import outer_rim, parts_of
 
 Float64Array = npt.NDArray[np.float64]

@@ -25,7 +25,8 @@ from napari_hmrf.checks import (
     convert,
 )
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.problem import FloatArray, as_numbers
+from napari_hmrf.real_arrays import as_numbers
+from napari_hmrf.solver.problem import FloatArray
 from napari_hmrf.tissue.surroundings import void_threshold
 
 Between = Literal["straight", "smooth"]

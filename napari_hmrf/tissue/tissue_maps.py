@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from napari_hmrf.arguments import shown
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.problem import as_numbers
+from napari_hmrf.real_arrays import as_numbers
 from napari_hmrf.tissue.boundary_rules import Material
 
 #: Name of the material of pixels without a likely tissue.

@@ -15,7 +15,7 @@ from napari_hmrf.field.moved_points import interpolate_linearly, interpolate_wit
 from napari_hmrf.fields import read_field
 from napari_hmrf.io.images import ImageFile, write_image
 from napari_hmrf.layers.field_layer import field_of
-from napari_hmrf.solver.problem import grid_in_words
+from napari_hmrf.real_arrays import grid_in_words
 from tests.support.exchanged_fields import FieldCase
 
 pytest.importorskip("SimpleITK")

@@ -6,12 +6,12 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from napari_hmrf import warp
+from napari_hmrf.compute.compile_cache.loops import only_read
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.field.interpolation import look_up
 from napari_hmrf.field.live_warp import Picture, Warper
 from napari_hmrf.field.triangle_raster import rasterise, rasterise_displaced
 from napari_hmrf.field.warp import moved_sites
-from napari_hmrf.solver.backends.compile_cache.loops import only_read
-from napari_hmrf.solver.backends.thread import compute_thread
 
 SHAPE = (37, 45)
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from napari_hmrf import Problem, SeilerPrior, solve
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.field.animation import Motion
 from napari_hmrf.field.tissue_point import Points
 from napari_hmrf.field.warp import inverse_map
-from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.optimizers import ICM
 
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from napari_hmrf import SeilerPrior, solve
+from napari_hmrf.compute.compile_cache.loops import only_read
 from napari_hmrf.data import phantom
 from napari_hmrf.field import triangle_arrays, triangle_raster
-from napari_hmrf.solver.backends.compile_cache.loops import only_read
 
 
 def assert_same_maps(moved, tissue):

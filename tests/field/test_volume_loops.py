@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, ProblemError, solve
+from napari_hmrf.compute.compile_cache import loops
 from napari_hmrf.field import tetrahedron_raster
 from napari_hmrf.field.deformation import (
     determinant_or_fold,
@@ -21,7 +22,6 @@ from napari_hmrf.field.strain import (
     small_strain,
 )
 from napari_hmrf.field.warp import inverse_raster, moved_sites
-from napari_hmrf.solver.backends.compile_cache import loops
 
 SIZE = (1.5, 1.0, 0.7)
 #: Edge paths from the first corner of a cell to its last, as in `tetrahedron_raster`.

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from napari_hmrf import ProblemError, warp
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.field import tetrahedron_raster
 from napari_hmrf.field.animation import Motion
 from napari_hmrf.field.comparison import compare
@@ -30,7 +31,6 @@ from napari_hmrf.field.strain import (
 from napari_hmrf.field.tissue_point import Points
 from napari_hmrf.fields import inverse_map
 from napari_hmrf.geometry import Geometry
-from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.solution import Provenance, Solution
 
 SHAPE = (14, 15, 16)

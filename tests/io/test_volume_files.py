@@ -21,6 +21,7 @@ from napari_hmrf import (
     write_study,
 )
 from napari_hmrf.cli import main
+from napari_hmrf.compute.compile_cache import loader
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.inverse_field import inverse_displacement
 from napari_hmrf.field.moved_points import moved_points
@@ -33,7 +34,6 @@ from napari_hmrf.io.images import ImageFile, read_image, write_image
 from napari_hmrf.io.results import measured
 from napari_hmrf.io.tables import write_measurements
 from napari_hmrf.landmarks import read_points, write_points
-from napari_hmrf.solver.backends.compile_cache import loader
 from napari_hmrf.solver.solution import Solution
 
 SHAPE = (16, 20, 18)

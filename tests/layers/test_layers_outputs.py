@@ -9,13 +9,13 @@ from napari.components import ViewerModel
 from napari.layers import Image, Labels, Layer
 
 from napari_hmrf import Problem, solve
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.warp import warp
 from napari_hmrf.layers.field_layer import result_of
 from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.layers.result_layers import ARROWS, Pictures, overlay_of, result_layers
 from napari_hmrf.layers.slice_view import View, frame_of
-from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.optimizers.base import LevelRun
 from napari_hmrf.solver.solution import Provenance, Solution
 

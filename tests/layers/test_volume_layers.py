@@ -8,12 +8,12 @@ from napari.components import ViewerModel
 from napari.layers import Image, Labels, Points
 
 from napari_hmrf import Arrow, BoundaryRule, Drawing, Grid, Motion, ProblemError, Study, Tissue
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.field.deformation import arrows_in_slices
 from napari_hmrf.layers.landmarks import read_landmarks
 from napari_hmrf.layers.read import Request, study_from_layers, study_layers
 from napari_hmrf.layers.result_layers import layer_on, overlay_of, result_layers
 from napari_hmrf.layers.slice_view import View, directions_of, frame_of, plane_shown
-from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.study.ground import solve_study
 from napari_hmrf.study.study import Pictures
 from napari_hmrf.tissue.boundary_rules import Material

@@ -15,11 +15,11 @@ from napari_hmrf import (
     SeilerPrior,
     solve,
 )
+from napari_hmrf.field.followers import find_followers, followers_of
+from napari_hmrf.field.neighbours import around_sites, in_elements, sites_of_elements
 from napari_hmrf.landmarks import StrainScale
 from napari_hmrf.loads import Loads, reactions
 from napari_hmrf.posterior import sample_posterior
-from napari_hmrf.solver.followers import find_followers, followers_of
-from napari_hmrf.solver.neighbours import around_sites, in_elements, sites_of_elements
 from napari_hmrf.tissue import SlidingParts
 from tests.support.opengl import require_opengl
 
@@ -470,7 +470,7 @@ def test_tissue_that_does_not_change_is_searched_once(monkeypatch):
         searches.append(given)
         return find_followers(*given, **more)
 
-    monkeypatch.setattr("napari_hmrf.solver.followers.find_followers", find)
+    monkeypatch.setattr("napari_hmrf.field.followers.find_followers", find)
     mask = ball(7, 2)
     for shift in (1.0, 2.0):
         motion = np.full((*mask.shape, 2), shift)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from napari_hmrf.field.neighbours import around_sites, of_corners
 from napari_hmrf.solver.interface_normals import interface_normals
-from napari_hmrf.solver.neighbours import around_sites, of_corners
 
 
 def ball(axes):

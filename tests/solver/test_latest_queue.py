@@ -5,7 +5,7 @@ from functools import partial
 
 import pytest
 
-from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.solver.latest_queue import LatestQueue
 from tests.support.timeouts import LONG
 

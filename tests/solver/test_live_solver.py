@@ -18,8 +18,8 @@ from napari_hmrf import (
     SeilerPrior,
     solve,
 )
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.solver import live_solver as live_module
-from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.live_solver import LiveSolver
 from tests.support.timeouts import LONG
 from validation.bodies import pulled_problem

@@ -70,7 +70,7 @@ import numpy as np
 
 from napari_hmrf import BackendError, SeilerPrior, solve
 from napari_hmrf.data import phantom
-from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.compute.thread import compute_thread
 
 problem = phantom("expansion", size=40).problem
 expected = solve(problem, SeilerPrior(), backend="opengl").displacement

@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks import campaign
 from napari_hmrf import ElasticPrior, Problem, solve
-from napari_hmrf.solver.neighbours import sites_of_elements
+from napari_hmrf.field.neighbours import sites_of_elements
 from napari_hmrf.tissue import SlidingParts
 from validation.bodies import dice_of
 from validation.oracles.parts import dense_solution, forces_of

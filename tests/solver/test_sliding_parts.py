@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from napari_hmrf import ElasticPrior, NeoHookeanPrior, Problem, ProblemError, SeilerPrior, solve
+from napari_hmrf.field.neighbours import sites_of_elements
 from napari_hmrf.landmarks import Landmarks
 from napari_hmrf.loads import Loads, weight
 from napari_hmrf.solver.coupling import Coupling
-from napari_hmrf.solver.neighbours import sites_of_elements
 from napari_hmrf.solver.unfolded import unfolded
 from napari_hmrf.tissue import SlidingParts
 from validation.oracles.parts import sliding_field

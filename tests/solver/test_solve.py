@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from napari_hmrf import ICM, BackendError, Cancelled, ElasticPrior, Multigrid, SeilerPrior, solve
+from napari_hmrf.compute.thread import ComputeThread, compute_thread
 from napari_hmrf.solver.backends.base import BATCH_SECONDS
-from napari_hmrf.solver.backends.thread import ComputeThread, compute_thread
 from tests.support.cancel_flags import AfterLooks
 from tests.support.timeouts import LONG
 from validation.bodies import frame_problem
@@ -208,7 +208,7 @@ import napari_hmrf.solver.solve
 from napari_hmrf import *
 from napari_hmrf.solver.backends import cpu
 from napari_hmrf.solver.backends.job import SolveJob
-from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.solver.preparation import prepare
 
 def made():

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from napari_hmrf import Multigrid, Problem, SeilerPrior, Solution, solve
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.errors import BackendError, Cancelled, ConvergenceError, ProblemError
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.arrays.seiler import ArraySeilerModel
 from napari_hmrf.solver.backends.base import SiteRule
 from napari_hmrf.solver.backends.cpu import CpuBackend
 from napari_hmrf.solver.backends.cpu.volume_seiler_model import CpuVolumeSeilerModel
-from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.connected import connected
 from napari_hmrf.solver.model_names import in_words
 from napari_hmrf.solver.optimizers import ICM

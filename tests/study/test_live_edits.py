@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, SeilerPrior, solve
-from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.solver.live_solver import LiveSolver
 from napari_hmrf.study.edit_history import EditHistory
 from napari_hmrf.tissue.boundary_rules import (

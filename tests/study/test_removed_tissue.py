@@ -29,9 +29,9 @@ from napari_hmrf import (
     solve_study,
     write_study,
 )
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.field.animation import Motion as Animation
 from napari_hmrf.loads import cavity, weight
-from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.study.ground import build_problem
 
 SPACING = (0.5, 0.8)

@@ -18,7 +18,7 @@ from napari_hmrf import (
     Tissue,
     solve_study,
 )
-from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.study import study_results
 from napari_hmrf.study.engine import Engine
 from napari_hmrf.study.study_results import StudyResults

@@ -21,10 +21,10 @@ from napari_hmrf import (
     solve,
     warp,
 )
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.errors import Cancelled
 from napari_hmrf.field import slabs, tetrahedron_raster, volume_loops
 from napari_hmrf.field.deformation import smallest_determinant
-from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.study.engine import Engine
 from napari_hmrf.study.study import Pictures
 from napari_hmrf.ui.jobs import Jobs

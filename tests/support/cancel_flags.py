@@ -1,6 +1,6 @@
 """Cancel flags that are set during a solve."""
 
-from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.compute.thread import compute_thread
 
 
 class During:

@@ -52,7 +52,7 @@ def compile_once() -> None:
 def compile_most(backwards: bool) -> None:
     """Compile nearly all loops and store them on disk."""
     from napari_hmrf.compiling import jobs
-    from napari_hmrf.solver.backends.thread import compute_thread
+    from napari_hmrf.compute.thread import compute_thread
 
     for job in reversed(jobs()) if backwards else jobs():
         compute_thread.submit(job.run).result()

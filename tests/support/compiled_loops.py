@@ -19,7 +19,7 @@ from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
-from napari_hmrf.solver.backends.compile_cache import disk_cache
+from napari_hmrf.compute.compile_cache import disk_cache
 
 try:
     import fcntl

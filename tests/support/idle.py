@@ -6,7 +6,7 @@ from collections import Counter
 from qtpy.QtCore import QTimer
 from qtpy.QtWidgets import QApplication
 
-from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.ui import events
 from tests.support.timeouts import LONG, LONG_MS
 

@@ -3,7 +3,7 @@
 import threading
 from contextlib import contextmanager
 
-from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.compute.thread import compute_thread
 from tests.support.timeouts import LONG
 
 

@@ -11,8 +11,8 @@ from typing import Any, TypeVar
 import pytest
 
 from napari_hmrf import BackendError, Cancelled
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.solver.backends.opengl import OpenGLBackend, describe
-from napari_hmrf.solver.backends.thread import compute_thread
 from tests.support.timeouts import LONG
 
 T = TypeVar("T")

@@ -28,8 +28,8 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.layers.viewer_layers import _shared
-from napari_hmrf.solver.backends.thread import compute_thread
 from tests.support.opened import DISCARDED, opened
 from tests.support.timeouts import LONG
 from tests.support.windowless import Frame

@@ -8,8 +8,8 @@ import pytest
 from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QApplication
 
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.solver import preparation
-from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.live_solver import TOLERANCE
 from napari_hmrf.solver.optimizers import Multigrid
 from napari_hmrf.solver.problem import Problem

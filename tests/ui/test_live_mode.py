@@ -8,9 +8,9 @@ from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 
 from napari_hmrf import Multigrid, solve
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.layers.compat import drawn_node
 from napari_hmrf.layers.metadata import METADATA, metadata_of
-from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.study.ground import build_problem
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing

@@ -24,11 +24,11 @@ from napari_hmrf import (
     ProblemError,
     SeilerPrior,
 )
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.contributions import phantom_layers
 from napari_hmrf.layers.metadata import METADATA, metadata_of
 from napari_hmrf.samples.phantoms import PHANTOM_NAMES, sample
 from napari_hmrf.solver.backends import BACKEND_NAMES
-from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.study.ground import build_problem
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from napari_hmrf.tissue.material_presets import PRESETS

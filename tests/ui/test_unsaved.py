@@ -26,8 +26,8 @@ from napari_hmrf import (
     read_study,
     write_study,
 )
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.io import recovery
-from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.tissue.drawing.patch_motion import PatchMotion
 from napari_hmrf.ui.soft_tissue import SoftTissue
 from tests.support.docks import dock_in, quick

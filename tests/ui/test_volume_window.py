@@ -7,9 +7,9 @@ import pytest
 from napari.layers import Vectors
 from qtpy.QtWidgets import QFileDialog, QPushButton, QTableWidget
 
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.fields import count_folds
 from napari_hmrf.layers.metadata import METADATA, TISSUE, layer_metadata, metadata_of
-from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing
 from tests.support.person import by_name, only

@@ -32,10 +32,10 @@ import numpy as np
 from benchmarks.clock import Times, fastest, median_times, now, timed
 from benchmarks.speed import ellipsoid, growing
 from napari_hmrf import ICM, BackendError, ElasticPrior, Multigrid, Problem, Solution, solve
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.data import phantom
 from napari_hmrf.solver.backends.cpu import elastic, forces, hexahedra, vectors, volume
 from napari_hmrf.solver.backends.opengl.context.device import the_device
-from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.optimizers import Monitor, Optimizer
 from napari_hmrf.solver.priors import Prior, SeilerPrior
 from validation.study import Options, Results, Table, Target, study

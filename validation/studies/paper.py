@@ -24,11 +24,11 @@ from napari_hmrf import (
     Solution,
     solve,
 )
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.data import phantom
 from napari_hmrf.fields import rmsd
 from napari_hmrf.solver.backends.choice import open_backend
 from napari_hmrf.solver.backends.job import SolveJob
-from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import Prior
 from napari_hmrf.solver.quadtree import levels, nearest_pixels

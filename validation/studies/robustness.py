@@ -60,6 +60,7 @@ from napari_hmrf import (
 )
 from napari_hmrf.augmentation.ground_truth import write_truth
 from napari_hmrf.cli import main as command
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.contributions import write_solution
 from napari_hmrf.data import phantom
 from napari_hmrf.errors import HmrfError, in_words
@@ -78,7 +79,6 @@ from napari_hmrf.io.uncertainty_files import write_uncertainty
 from napari_hmrf.landmarks import write_points
 from napari_hmrf.posterior import Uncertainty
 from napari_hmrf.random import RandomDeformation
-from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.material_presets import PRESETS
 from napari_hmrf.tissue.tissue_names import materials_by_name

@@ -7,10 +7,10 @@ import os
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from napari_hmrf.compute.compile_cache import compiler, loops
 from napari_hmrf.errors import BackendError
 from napari_hmrf.solver.backends import BACKEND_NAMES
 from napari_hmrf.solver.backends.base import Backend, Checkpoint
-from napari_hmrf.solver.backends.compile_cache import compiler, loops
 from napari_hmrf.solver.backends.cpu import CpuBackend
 from napari_hmrf.solver.backends.job import SolveJob
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.workspace import Kept
+from napari_hmrf.compute.workspace import Kept
 
 if TYPE_CHECKING:
     from napari_hmrf.solver.backends.direct.factors import Factors

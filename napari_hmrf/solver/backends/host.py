@@ -13,16 +13,16 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.compute.compile_cache import loops
+from napari_hmrf.compute.thread import compute_thread
+from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.solver.backends.arrays import exact as plain
 from napari_hmrf.solver.backends.base import FloatArray
-from napari_hmrf.solver.backends.compile_cache import loops
 from napari_hmrf.solver.backends.earlier_results import WarmStart
 from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
 from napari_hmrf.solver.backends.planes import field as field
 from napari_hmrf.solver.backends.planes import inside as inside
 from napari_hmrf.solver.backends.planes import planes as planes
-from napari_hmrf.solver.backends.thread import compute_thread
-from napari_hmrf.solver.workspace import Kept
 
 if TYPE_CHECKING:
     from napari_hmrf.solver.problem import Problem

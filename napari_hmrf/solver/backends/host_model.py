@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.solver.backends.earlier_results import EarlierResults
 from napari_hmrf.solver.backends.linear import Balance, HeldPlanes, Planes, Steps
 from napari_hmrf.solver.backends.rigid.bodies import Bodies
 from napari_hmrf.solver.backends.rigid.deflation import Deflation
-from napari_hmrf.solver.backends.thread import compute_thread
 
 # The squares of values between these bounds are representable in single precision.
 _SMALL, _GREAT = 1e-6, 1e6

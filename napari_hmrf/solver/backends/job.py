@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
-from napari_hmrf.solver.backends.compile_cache.sets import DATA, LARGE_VOLUMES, VOLUME_DATA
+from napari_hmrf.compute.compile_cache.sets import DATA, LARGE_VOLUMES, VOLUME_DATA
 from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
 
 if TYPE_CHECKING:

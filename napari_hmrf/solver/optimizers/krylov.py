@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.linear import Balance, Planes, Steps, UnsymmetricLevel
 from napari_hmrf.solver.backends.rigid.deflation import Deflation
-from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.optimizers.cycle import Cycle
 
 # Reduction of the residual after which a run in single precision ends, so that the caller can

@@ -14,6 +14,7 @@ import numpy.typing as npt
 import scipy
 
 from napari_hmrf.errors import ConvergenceError
+from napari_hmrf.field.neighbours import sites_of_elements
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.base import Backend
 from napari_hmrf.solver.backends.direct.factors import Factors
@@ -21,7 +22,6 @@ from napari_hmrf.solver.backends.earlier_results import WarmStart
 from napari_hmrf.solver.backends.finite import FiniteModel
 from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
 from napari_hmrf.solver.backends.rigid.poses import Poses
-from napari_hmrf.solver.neighbours import sites_of_elements
 from napari_hmrf.solver.optimizers.base import (
     Convergence,
     LevelRun,

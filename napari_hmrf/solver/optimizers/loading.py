@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.linear import Planes
@@ -18,7 +19,6 @@ from napari_hmrf.solver.loads import are_same
 from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
 from napari_hmrf.solver.problem import MAX_REACH, Problem
 from napari_hmrf.solver.rigid_modes import free_motions
-from napari_hmrf.solver.workspace import Kept
 
 # Fraction of the sum of all forces up to which a force is rounding error.
 _ROUNDING = 1e-9

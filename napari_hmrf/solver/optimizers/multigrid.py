@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from napari_hmrf.checks import Count, Positive, checked
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.base import Backend
@@ -23,7 +24,6 @@ from napari_hmrf.solver.backends.earlier_results import (
     start_quality_of,
 )
 from napari_hmrf.solver.backends.linear import HeldPlanes, LinearModel, Planes
-from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.bending_modes import check_bending
 from napari_hmrf.solver.optimizers import centred, large_motion
 from napari_hmrf.solver.optimizers.base import Convergence, LevelRun, Outcome, Report

@@ -20,13 +20,13 @@ import numpy.typing as npt
 import scipy
 
 from napari_hmrf.errors import ConvergenceError
+from napari_hmrf.field.neighbours import around_sites
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.direct.dissection import Singular
 from napari_hmrf.solver.backends.direct.factors import Factors
 from napari_hmrf.solver.backends.finite import FiniteModel
 from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
 from napari_hmrf.solver.backends.rigid.poses import Poses
-from napari_hmrf.solver.neighbours import around_sites
 from napari_hmrf.solver.optimizers.base import Monitor, Report, part_done
 from napari_hmrf.solver.optimizers.cycle import Cycle, Smoothing
 from napari_hmrf.solver.optimizers.dead_loads import DeadLoads

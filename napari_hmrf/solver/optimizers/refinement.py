@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.direct.dissection import Singular
@@ -21,7 +22,6 @@ from napari_hmrf.solver.backends.direct.factors import Factors
 from napari_hmrf.solver.backends.direct.sparse_factors import Links
 from napari_hmrf.solver.backends.earlier_results import Quality, StartQuality
 from napari_hmrf.solver.backends.linear import Balance, LinearModel, Planes
-from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.optimizers.base import Monitor, Report, part_done
 from napari_hmrf.solver.optimizers.cycle import Cycle, Smoothing
 from napari_hmrf.solver.optimizers.krylov import ConjugateGradients, Step

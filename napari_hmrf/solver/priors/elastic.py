@@ -25,6 +25,7 @@ import numpy.typing as npt
 from napari_hmrf.arguments import real
 from napari_hmrf.checks import POISSON_RANGE, Choice, Penalty, Poisson, convert
 from napari_hmrf.errors import ArgumentError, ProblemError
+from napari_hmrf.real_arrays import as_numbers, grid_in_words
 from napari_hmrf.solver.data_term import DataTerm
 from napari_hmrf.solver.model_names import Plane
 from napari_hmrf.solver.priors.elements import (
@@ -38,7 +39,7 @@ from napari_hmrf.solver.priors.elements import (
 )
 from napari_hmrf.solver.priors.growth import Load, growth_load, slabs
 from napari_hmrf.solver.priors.hexahedra import BrickShape, brick_shape
-from napari_hmrf.solver.problem import Problem, as_numbers, grid_in_words, in_pixels
+from napari_hmrf.solver.problem import Problem, in_pixels
 from napari_hmrf.solver.rigid_modes import check_held
 from napari_hmrf.solver.sliding_parts import refuse_sliding
 

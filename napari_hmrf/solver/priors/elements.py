@@ -21,9 +21,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.field.neighbours import around_sites, in_elements, of_corners
 from napari_hmrf.solver.coupling import Coupling
 from napari_hmrf.solver.data_term import DataTerm, are_same
-from napari_hmrf.solver.neighbours import around_sites, in_elements, of_corners
 
 Float64Array = npt.NDArray[np.float64]
 

@@ -39,6 +39,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from napari_hmrf.real_arrays import FloatArray
 from napari_hmrf.solver.loads import is_equal
 from napari_hmrf.solver.priors.elements import (
     ElasticMaterial,
@@ -50,7 +51,6 @@ from napari_hmrf.solver.priors.elements import (
     of_elements,
 )
 from napari_hmrf.solver.priors.growth import element_strains
-from napari_hmrf.solver.real_arrays import FloatArray
 
 #: Strength of the barrier, kappa, in units of mu.
 BARRIER = 10.0

@@ -16,10 +16,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from napari_hmrf.solver.backends.thread import compute_thread
-from napari_hmrf.solver.neighbours import pairs
+from napari_hmrf.compute.thread import compute_thread
+from napari_hmrf.field.neighbours import pairs
+from napari_hmrf.real_arrays import FloatArray
 from napari_hmrf.solver.priors.elements import Float64Array, Lame, of_elements
-from napari_hmrf.solver.real_arrays import FloatArray
 
 # Number of elements processed at once. Processing all elements of a volume together would
 # require more memory than its solve.

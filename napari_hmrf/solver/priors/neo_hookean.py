@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.real_arrays import first_index
 from napari_hmrf.solver.data_term import refuse_data
 from napari_hmrf.solver.model_names import Plane
 from napari_hmrf.solver.priors.elastic import ElasticPrior, prior_in_words
@@ -22,7 +23,6 @@ from napari_hmrf.solver.priors.finite_strain import FiniteElements, FiniteMateri
 from napari_hmrf.solver.priors.growth import Load
 from napari_hmrf.solver.priors.hexahedra import BrickShape
 from napari_hmrf.solver.problem import Problem, in_pixels
-from napari_hmrf.solver.real_arrays import first_index
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,7 @@ from pydantic import TypeAdapter, ValidationError
 from napari_hmrf.archive import STORED, ByClass, first_fault
 from napari_hmrf.arguments import tuple_of
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.problem import as_numbers
+from napari_hmrf.real_arrays import as_numbers
 from napari_hmrf.tissue.drawing.canvas import Box, Canvas, box_of, covers, is_empty, paint
 from napari_hmrf.tissue.drawing.marks import (
     Arrow,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.solver.backends.arrays.level import ArrayLevel, Vector
 from napari_hmrf.solver.backends.arrays.model import ArrayModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes
@@ -18,7 +19,6 @@ from napari_hmrf.solver.priors.elements import (
     element_forces,
     lame_parameters,
 )
-from napari_hmrf.solver.workspace import Kept
 
 Float64Array = npt.NDArray[np.float64]
 

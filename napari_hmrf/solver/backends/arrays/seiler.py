@@ -11,12 +11,12 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.solver.backends.arrays.level import ArrayLevel, Real, Vector, restricted
 from napari_hmrf.solver.backends.arrays.model import ArrayModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes
 from napari_hmrf.solver.coarse_levels import grids
 from napari_hmrf.solver.priors.cliques import SeilerMaterial, cliques
-from napari_hmrf.solver.workspace import Kept
 
 Float64Array = npt.NDArray[np.float64]
 

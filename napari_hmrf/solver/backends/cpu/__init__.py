@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.compute.compile_cache import loader
 from napari_hmrf.solver.backends.base import (
     BATCH_SECONDS,
     Checkpoint,
@@ -17,7 +18,6 @@ from napari_hmrf.solver.backends.base import (
     FloatArray,
     SiteRule,
 )
-from napari_hmrf.solver.backends.compile_cache import loader
 from napari_hmrf.solver.backends.finite import FiniteModel
 from napari_hmrf.solver.backends.job import SolveJob
 from napari_hmrf.solver.backends.linear import LinearModel

@@ -13,10 +13,10 @@ from functools import partial
 import numba
 from numba.core import event
 
-from napari_hmrf.solver.backends.compile_cache.decorators import cached
-from napari_hmrf.solver.backends.compile_cache.decorators import callee as _callee
-from napari_hmrf.solver.backends.compile_cache.disk_cache import sources
-from napari_hmrf.solver.backends.compile_cache.threaded import (
+from napari_hmrf.compute.compile_cache.decorators import cached
+from napari_hmrf.compute.compile_cache.decorators import callee as _callee
+from napari_hmrf.compute.compile_cache.disk_cache import sources
+from napari_hmrf.compute.compile_cache.threaded import (
     ALONE,
     bounds_of_part,
     portion,

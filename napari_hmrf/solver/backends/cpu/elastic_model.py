@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends.compile_cache import loops
+from napari_hmrf.compute.compile_cache import loops
+from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.solver.backends.cpu import (
     assembly,
     elastic,
@@ -36,7 +37,6 @@ from napari_hmrf.solver.priors.elements import (
     ElasticMaterial,
     stiffest,
 )
-from napari_hmrf.solver.workspace import Kept
 
 # Coefficients (scale, ahead, back) of a Chebyshev step that changes nothing.
 _NO_STEP = np.zeros(3, dtype=np.float32)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.solver.backends.cpu import finite_strain, finite_tangents, tangents
 from napari_hmrf.solver.backends.cpu.finite_base import CALM, CpuFiniteModelBase
 from napari_hmrf.solver.backends.cpu.forces import parts
@@ -27,7 +28,6 @@ from napari_hmrf.solver.priors.finite_strain import (
     FiniteMaterial,
     moduli_of,
 )
-from napari_hmrf.solver.workspace import Kept
 
 # Numbers per element: tangent for cycles with its damping, full tangent, and elastic parameters
 # (`finite_strain`).

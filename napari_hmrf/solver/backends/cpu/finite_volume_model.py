@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.compute.thread import compute_thread
+from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.solver.backends.cpu import (
     bernstein,
     brick_tangents,
@@ -24,12 +26,10 @@ from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
 from napari_hmrf.solver.backends.cpu.volume_model import VolumeLevel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.solver.backends.rigid.bodies import Bodies
-from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.coarse_levels import grids
 from napari_hmrf.solver.priors.elements import CYCLE_STAND_IN, lame_ratio
 from napari_hmrf.solver.priors.finite_bricks import brick_moduli
 from napari_hmrf.solver.priors.finite_strain import BARRIER, BARRIER_BEGIN, FiniteMaterial
-from napari_hmrf.solver.workspace import Kept
 
 # Index of the elements in padded arrays.
 _ELEMENTS = (slice(PAD, -PAD - 1),) * 3

@@ -12,13 +12,13 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.solver.backends.cpu import data_weights, vectors
 from napari_hmrf.solver.backends.cpu.layout import Layout, Table, flat, whole_rows
 from napari_hmrf.solver.backends.cpu.point_smoother import PointSmoother
 from napari_hmrf.solver.backends.cpu.transfer import PAD
 from napari_hmrf.solver.backends.linear import HeldPlanes, Steps
 from napari_hmrf.solver.backends.rigid.bodies import Bodies
-from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.coarse_levels import MOST_PINS, SPRING
 from napari_hmrf.solver.data_term import DataTerm, PointTerm
 

@@ -9,6 +9,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.solver.backends.cpu import kernels, seiler
 from napari_hmrf.solver.backends.cpu.level import CpuLevel, Spans, Vector, all_sites, rows
 from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
@@ -17,7 +18,6 @@ from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.solver.backends.planes import inside
 from napari_hmrf.solver.coarse_levels import grids
 from napari_hmrf.solver.priors.cliques import SeilerMaterial
-from napari_hmrf.solver.workspace import Kept
 
 Lines = npt.NDArray[np.float64]
 

@@ -25,21 +25,21 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.compute.compile_cache import loops
+from napari_hmrf.compute.thread import compute_thread
+from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.solver.backends.base import Checkpoint
-from napari_hmrf.solver.backends.compile_cache import loops
 from napari_hmrf.solver.backends.cpu.elastic_model import CpuElasticModel
 from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector
 from napari_hmrf.solver.backends.cpu.volume_model import CpuVolumeModel
 from napari_hmrf.solver.backends.host_model import HostModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.solver.backends.planes import inside, planes
-from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.coarse_levels import smoother_bounds
 from napari_hmrf.solver.coupling import Box, Coupling
 from napari_hmrf.solver.data_term import DataTerm, packed_axes
 from napari_hmrf.solver.optimizers.cycle import Cycle, smoothing_of
 from napari_hmrf.solver.priors.elements import ElasticMaterial, stiffest
-from napari_hmrf.solver.workspace import Kept
 
 #: Factor on the correction of each cycle. A cycle may correct a motion by twice its error; without
 #: the factor, two such corrections would cancel, and the iteration would hardly reduce the motion.

@@ -8,8 +8,9 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.compute.compile_cache import loops
+from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.solver.backends.base import BATCH_SECONDS, Checkpoint
-from napari_hmrf.solver.backends.compile_cache import loops
 from napari_hmrf.solver.backends.cpu import hexahedra, volume, volume_transfer
 from napari_hmrf.solver.backends.cpu.double_level import DoubleLevel
 from napari_hmrf.solver.backends.cpu.layout import (
@@ -31,7 +32,6 @@ from napari_hmrf.solver.priors.elements import (
     lame_ratio,
     stiffest,
 )
-from napari_hmrf.solver.workspace import Kept
 
 # Approximate time of a smoothing step for one site on one thread, in seconds.
 _SITE_SECONDS = 20e-9

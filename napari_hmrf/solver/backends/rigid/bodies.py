@@ -19,8 +19,8 @@ import numpy.typing as npt
 import scipy
 
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.field.neighbours import around_sites, in_elements, of_corners
 from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
-from napari_hmrf.solver.neighbours import around_sites, in_elements, of_corners
 from napari_hmrf.solver.priors.elements import ElasticMaterial
 
 Float64Array = npt.NDArray[np.float64]

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from napari_hmrf.solver.backends.compile_cache import disk_cache
-from napari_hmrf.solver.backends.compile_cache.disk_cache import sources
+from napari_hmrf.compute.compile_cache import disk_cache
+from napari_hmrf.compute.compile_cache.disk_cache import sources
 from napari_hmrf.solver.backends.cpu import compiled
 
 CALLEE = """

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from napari_hmrf import ICM, BackendError, Cancelled, Problem, SeilerPrior, solve
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.solver.backends.choice import open_backend
 from napari_hmrf.solver.backends.job import SolveJob
 from napari_hmrf.solver.backends.opengl import OpenGLBackend, describe, is_software_renderer
@@ -15,7 +16,6 @@ from napari_hmrf.solver.backends.opengl.context.device import the_device
 from napari_hmrf.solver.backends.opengl.context.pace import Pace
 from napari_hmrf.solver.backends.opengl.programs import source
 from napari_hmrf.solver.backends.opengl.programs.programs import compile_program
-from napari_hmrf.solver.backends.thread import compute_thread
 from napari_hmrf.solver.quadtree import levels
 from tests.support.opengl import count_looks, on_compute_thread, require_opengl
 from tests.support.timeouts import LONG

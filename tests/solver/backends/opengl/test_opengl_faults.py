@@ -22,7 +22,7 @@ import numba  # otherwise imported by every child
 from napari_hmrf import BackendError, ElasticPrior, Multigrid
 from napari_hmrf.solver.backends.choice import open_backend
 from napari_hmrf.solver.backends.job import SolveJob
-from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.compute.thread import compute_thread
 
 image = SolveJob((9, 9), (1.0, 1.0), ElasticPrior(), Multigrid())
 

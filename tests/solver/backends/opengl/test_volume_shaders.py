@@ -17,9 +17,9 @@ from napari_hmrf import (
     SeilerPrior,
     solve,
 )
+from napari_hmrf.compute.compile_cache import compiler, loops
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.choice import COMPILING, open_backend
-from napari_hmrf.solver.backends.compile_cache import compiler, loops
 from napari_hmrf.solver.backends.cpu import CpuBackend
 from napari_hmrf.solver.backends.job import SolveJob
 from napari_hmrf.solver.backends.opengl import OpenGLBackend

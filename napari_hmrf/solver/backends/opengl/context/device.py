@@ -14,6 +14,8 @@ from typing import Any, NoReturn
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.compute.thread import compute_thread
+from napari_hmrf.compute.workspace import in_child_of_fork
 from napari_hmrf.errors import BackendError
 from napari_hmrf.solver.backends.opengl.context.context import (
     COMPUTE_VERSION,
@@ -28,8 +30,6 @@ from napari_hmrf.solver.backends.opengl.programs.volume_programs import (
     compile_volume,
 )
 from napari_hmrf.solver.backends.opengl.programs.volume_source import TOGETHER
-from napari_hmrf.solver.backends.thread import compute_thread
-from napari_hmrf.solver.workspace import in_child_of_fork
 
 _log = logging.getLogger("napari_hmrf")
 

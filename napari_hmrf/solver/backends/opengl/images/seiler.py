@@ -6,8 +6,8 @@ from typing import Any, Self
 
 import numpy as np
 
+from napari_hmrf.compute.compile_cache import loops
 from napari_hmrf.solver.backends.arrays import seiler
-from napari_hmrf.solver.backends.compile_cache import loops
 from napari_hmrf.solver.backends.linear import LinearModel
 from napari_hmrf.solver.backends.opengl.images.fields import singles
 from napari_hmrf.solver.backends.opengl.images.level import stored_planes

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.solver.backends import planes
 from napari_hmrf.solver.backends.earlier_results import EarlierResults
 from napari_hmrf.solver.backends.host_model import HostModel
@@ -21,7 +22,6 @@ from napari_hmrf.solver.backends.opengl.volumes.volume_level import GLVolumeLeve
 from napari_hmrf.solver.backends.opengl.volumes.volume_passes import VolumePasses
 from napari_hmrf.solver.coarse_levels import grids, smoother_bounds
 from napari_hmrf.solver.priors.elements import ElasticMaterial, Lame, lame_ratio, stiffest
-from napari_hmrf.solver.workspace import Kept
 
 _INSIDE = (slice(2, -2),) * 3
 _ELEMENTS = (slice(None), *(slice(2, -3),) * 3)

@@ -4,8 +4,8 @@ import numba
 import numpy as np
 import pytest
 
-from napari_hmrf.solver.backends.compile_cache.threaded import LOOPS, portion, threaded
-from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.compute.compile_cache.threaded import LOOPS, portion, threaded
+from napari_hmrf.compute.thread import compute_thread
 
 
 @numba.njit(**LOOPS)

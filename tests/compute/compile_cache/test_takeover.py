@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from napari_hmrf import Cancelled, ElasticPrior, LiveSolver, solve
-from napari_hmrf.solver.backends.compile_cache import disk_cache, loader
-from napari_hmrf.solver.backends.compile_cache.sets import COUNTS, FULL_COUNT, HARDER
-from napari_hmrf.solver.backends.compile_cache.watch import watched
+from napari_hmrf.compute.compile_cache import disk_cache, loader
+from napari_hmrf.compute.compile_cache.sets import COUNTS, FULL_COUNT, HARDER
+from napari_hmrf.compute.compile_cache.watch import watched
 from napari_hmrf.solver.backends.opengl import is_software_renderer
 from tests.support.opengl import require_opengl
 from tests.support.timeouts import LONG
@@ -106,7 +106,7 @@ def test_the_latest_of_many_pulls_wins_on_either_backend(drag):
 
 
 LOADING = """
-from napari_hmrf.solver.backends.compile_cache import loader
+from napari_hmrf.compute.compile_cache import loader
 assert not loader.begun()
 loader.loaded(600)
 loops = loader.cached_loops()
@@ -127,8 +127,8 @@ def test_cached_loops_are_loaded_without_compilation():
 
 COUNTING = """
 from napari_hmrf import compiling
-from napari_hmrf.solver.backends.compile_cache import watch
-from napari_hmrf.solver.backends.thread import compute_thread
+from napari_hmrf.compute.compile_cache import watch
+from napari_hmrf.compute.thread import compute_thread
 for job in compiling.jobs():
     compute_thread.submit(lambda: compiling.run(job, lambda stage: None)).result()
     print(job.name, watch._count_loops())

@@ -2,7 +2,7 @@
 
 import pytest
 
-from napari_hmrf.solver.backends.compile_cache import compiler, disk_cache, loader, loops
+from napari_hmrf.compute.compile_cache import compiler, disk_cache, loader, loops
 
 
 @pytest.fixture

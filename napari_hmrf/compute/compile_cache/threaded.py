@@ -31,8 +31,8 @@ from numba.core.compiler_machinery import register_pass
 from numba.core.ir import Expr
 from numba.core.typed_passes import NativeLowering
 
-from napari_hmrf.solver.backends.compile_cache.decorators import LOOPS, SOURCE
-from napari_hmrf.solver.backends.compile_cache.disk_cache import stamp
+from napari_hmrf.compute.compile_cache.decorators import LOOPS, SOURCE
+from napari_hmrf.compute.compile_cache.disk_cache import stamp
 
 #: Digest of this file and of the decorators; loops are compiled again after a change.
 _SOURCE = SOURCE + hashlib.sha256(Path(__file__).read_bytes()).digest()

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
+from numbers import Real
 from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import AfterValidator
 
-from napari_hmrf.arguments import shown
+from napari_hmrf.arguments import reals, shown
 from napari_hmrf.errors import ProblemError
 
 FloatArray = npt.NDArray[np.float32]
@@ -16,6 +19,7 @@ FloatArray = npt.NDArray[np.float32]
 _LARGEST = float(np.finfo(np.float32).max)
 #: Largest number up to which a double stores every whole number.
 _EXACT = 2**53
+_SMALLEST_PIXEL = 1e-15
 
 
 def _finite(array: npt.NDArray[np.floating]) -> npt.NDArray[np.floating]:
@@ -147,3 +151,25 @@ def how_many(bad: npt.NDArray[np.bool_]) -> str:
 def first_index(bad: npt.NDArray[np.bool_]) -> tuple[int, ...]:
     """Return the index of the first marked pixel, in row-major order."""
     return tuple(int(i) for i in np.unravel_index(int(np.argmax(bad)), bad.shape))
+
+
+def grid_in_words(sizes: Iterable[float]) -> str:
+    """Format sizes along the axes for display: "300 x 200"."""
+    return " x ".join(f"{size:g}" for size in sizes)
+
+
+def checked_spacing(spacing: object, ndim: int) -> tuple[float, ...]:
+    """Return the validated pixel size along `ndim` axes; a number applies to all axes."""
+    values = reals((spacing,) * ndim if isinstance(spacing, Real) else spacing, ndim)
+    if not all(0 < size < math.inf for size in values):
+        raise ProblemError(
+            "spacing",
+            f"is {shown(spacing)}. Pass {ndim} positive, finite pixel sizes, in the order of the "
+            "axes.",
+        )
+    if not all(_SMALLEST_PIXEL <= size <= 1 / _SMALLEST_PIXEL for size in values):
+        raise ProblemError(
+            "spacing",
+            f"is {values}. Choose a unit of length with less extreme pixel sizes.",
+        )
+    return values

@@ -31,11 +31,11 @@ from napari_hmrf import (
     solve,
     warp,
 )
+from napari_hmrf.compute.compile_cache import compiler, disk_cache, loader, loops
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.data import phantom
 from napari_hmrf.solver.backends.choice import COMPILING, open_backend
-from napari_hmrf.solver.backends.compile_cache import compiler, disk_cache, loader, loops
 from napari_hmrf.solver.backends.job import SolveJob
-from napari_hmrf.solver.backends.thread import compute_thread
 from tests.support.opengl import require_opengl
 from tests.support.timeouts import LONG
 
@@ -352,9 +352,7 @@ def test_an_edit_of_any_module_with_loops_changes_the_mark(cleared_caches, monke
 
 
 def test_optimised_python_uses_separate_marks():
-    ask = (
-        "from napari_hmrf.solver.backends.compile_cache import disk_cache; print(disk_cache.mark())"
-    )
+    ask = "from napari_hmrf.compute.compile_cache import disk_cache; print(disk_cache.mark())"
     done = subprocess.run(
         [sys.executable, "-OO", "-c", ask], capture_output=True, check=True, text=True
     )
@@ -366,7 +364,7 @@ def test_optimised_python_uses_separate_marks():
 STORE_LOOP = """
 import sys, tempfile
 from pathlib import Path
-from napari_hmrf.solver.backends.compile_cache import disk_cache, loader
+from napari_hmrf.compute.compile_cache import disk_cache, loader
 tempfile.tempdir = sys.argv[1]
 there = disk_cache._writable
 disk_cache._writable = lambda folder: str(folder).startswith(sys.argv[1]) and there(folder)

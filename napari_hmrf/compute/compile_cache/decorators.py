@@ -18,7 +18,7 @@ import numba
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompilerBase, DefaultPassBuilder
 
-from napari_hmrf.solver.backends.compile_cache.disk_cache import stamp
+from napari_hmrf.compute.compile_cache.disk_cache import stamp
 
 #: Options of all functions that numba compiles. Loops are never called from C, so no C wrapper is
 #: needed. Without the last option, a function would or would not count references depending on

@@ -20,8 +20,8 @@ from typing import Any, NamedTuple
 
 import psutil
 
-from napari_hmrf.solver.backends.compile_cache import disk_cache, loops, sets
-from napari_hmrf.solver.workspace import in_child_of_fork
+from napari_hmrf.compute.compile_cache import disk_cache, loops, sets
+from napari_hmrf.compute.workspace import in_child_of_fork
 
 #: Module that the compiling process executes.
 COMPILER = "napari_hmrf.compiling"

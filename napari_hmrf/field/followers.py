@@ -36,8 +36,8 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from napari_hmrf.solver.neighbours import around_sites, in_elements, of_corners
-from napari_hmrf.solver.workspace import Kept
+from napari_hmrf.compute.workspace import Kept
+from napari_hmrf.field.neighbours import around_sites, in_elements, of_corners
 
 Mask = npt.NDArray[np.bool_]
 Float64Array = npt.NDArray[np.float64]

@@ -18,8 +18,8 @@ from concurrent.futures import Future, wait
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
+from napari_hmrf.compute.workspace import in_child_of_fork
 from napari_hmrf.errors import BackendError, Cancelled
-from napari_hmrf.solver.workspace import in_child_of_fork
 
 T = TypeVar("T")
 _log = logging.getLogger("napari_hmrf")

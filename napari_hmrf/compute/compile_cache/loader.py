@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from napari_hmrf.solver.backends.compile_cache import disk_cache
+from napari_hmrf.compute.compile_cache import disk_cache
 
 _log = logging.getLogger("napari_hmrf")
 #: Pause after each step, as a multiple of the duration of the step.

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends.compile_cache import disk_cache, loader, sets
+from napari_hmrf.compute.compile_cache import disk_cache, loader, sets
 
 __all__ = [
     "HERE",

@@ -8,9 +8,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from napari_hmrf.solver.backends.compile_cache import sets
-from napari_hmrf.solver.backends.compile_cache.compiler import Stage
-from napari_hmrf.solver.backends.compile_cache.loader import before_numba, cached_loops
+from napari_hmrf.compute.compile_cache import sets
+from napari_hmrf.compute.compile_cache.compiler import Stage
+from napari_hmrf.compute.compile_cache.loader import before_numba, cached_loops
 
 
 class _State:

@@ -14,12 +14,12 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from napari_hmrf.solver.backends.compile_cache import sets
+from napari_hmrf.compute.compile_cache import sets
 
 _PACKAGE = "napari_hmrf"
 #: Package that contains the loops of the solver, and its folder.
 _SOLVER = f"{_PACKAGE}.solver.backends.cpu"
-_LOOPS = Path(__file__).parents[1] / "cpu"
+_LOOPS = Path(__file__).parents[2].joinpath("solver", "backends", "cpu")
 #: Texts of which each file with compiled functions contains one: modules of their decorators.
 _SOURCES_OF_DECORATORS = b"numba", b"cpu.compiled"
 #: Modules of loops that warp pictures.
@@ -30,7 +30,7 @@ _CACHE_VARIABLE = "NUMBA_CACHE_DIR"
 _ROOM, _PROBE = 2**27, 2**16
 #: Modules through which all loops are compiled.
 _DECORATORS = tuple(
-    f"{_PACKAGE}.solver.backends.compile_cache.{name}" for name in ("decorators", "threaded")
+    f"{_PACKAGE}.compute.compile_cache.{name}" for name in ("decorators", "threaded")
 )
 #: Modules of loops that are not in the solver's folder of loops.
 _OTHERS = (
