@@ -10,6 +10,7 @@ import numpy as np
 
 from napari_hmrf import Grid, Motion, Study, Tissue, solve_study
 from napari_hmrf.data import chest_phantom
+from napari_hmrf.fields import measure
 
 chest = chest_phantom(breath=14)  # pixels
 lungs = next(row for row in chest.materials if row.name == "lungs")
@@ -25,7 +26,7 @@ for name, slides in (("sliding", True), ("sticking", False)):
     solution = solve_study(Study(Grid(chest.image.shape, 1.0), tissue, motion))
     down = solution.displacement[..., 0]
     slip = (down[rows, side + 1] - down[rows, side - 2]).mean()
-    measured = {each.label: each for each in solution.measure(chest.tissue_labels)}
+    measured = {each.label: each for each in measure(solution, chest.tissue_labels)}
     print(
         f"{name} lungs: slip {slip:.1f} px, strain {measured[lungs.label].mean_strain:.1f} %, "
         f"volume {measured[lungs.label].size_change:+.1f} %, folds {solution.count_folds()}"

@@ -13,6 +13,7 @@ from tifffile import imwrite
 from napari_hmrf import read_study
 from napari_hmrf.cases import read_cases, solve_cases
 from napari_hmrf.data import phantom
+from napari_hmrf.fields import measure
 
 MATERIALS = """\
 label,name,stiffness,poisson
@@ -39,7 +40,7 @@ def main() -> None:
     for outcome in solve_cases(read_cases(files / "cases.csv"), files / "out", jobs=2):
         study, solution = read_study(files / "out" / outcome.case / "brain.study")
         names = {row.label: row.name for row in study.tissue.materials}
-        rows = solution.measure(brain.tissue_labels, names=names)
+        rows = measure(solution, brain.tissue_labels, names=names)
         areas = {row.name: row.size_change for row in rows}
         print(f"{outcome.case}: ventricles {areas['ventricles']:.2f} %, {outcome.folds} folds")
     print(f"summary of all cases: {files / 'out' / 'summary.csv'}")

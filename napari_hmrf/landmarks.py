@@ -6,7 +6,7 @@
     from napari_hmrf import Drawing, Grid
     from napari_hmrf.landmarks import read_points
 
-    pairs, grid = read_points("landmarks.csv"), Grid.from_image("scan.nii.gz")
+    pairs, grid = read_points("landmarks.csv"), grid_of_image("scan.nii.gz")
     source = grid.to_pixels(pairs.points, pairs.unit)
     target = grid.to_pixels(pairs.targets, pairs.unit)
     drawing = Drawing.from_landmarks(source, target, radius=3)
@@ -25,8 +25,8 @@ If no other motion is known, `spline` interpolates landmarks smoothly inside the
     displacement = spline(landmarks, stiffness > 0, spacing=1)
 """
 
-from napari_hmrf.field.landmark_spline import spline
 from napari_hmrf.io.landmark_files import LandmarkFile, read_points, write_points
+from napari_hmrf.registration.landmark_spline import spline
 from napari_hmrf.solver.uncertain_landmarks import Landmarks, StrainScale
 
 __all__ = [

@@ -19,7 +19,7 @@ from PIL import Image
 
 from napari_hmrf import Solution, read_study
 from napari_hmrf.data import head_phantom
-from napari_hmrf.fields import deformation_grid, magnitude
+from napari_hmrf.fields import deformation_grid, magnitude, measure
 
 mpl.use("Agg")
 
@@ -222,7 +222,7 @@ def sweep(_: Names) -> Figure:
     for folder in sorted(Path("sweep/out").glob("brain_*")):
         study, solution = read_study(folder / "brain.study")
         growth, stiffness = folder.name.split("growth-tumour-")[1].split("_stiffness-tumour-")
-        rows = solution.measure(study.tissue.labels)
+        rows = measure(solution, study.tissue.labels)
         change = next(row.size_change for row in rows if row.label == 2)
         areas.setdefault(stiffness, []).append((100 * float(growth), change))
     for stiffness, points in areas.items():

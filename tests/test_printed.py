@@ -21,7 +21,7 @@ from napari_hmrf import (
     solve_study,
 )
 from napari_hmrf.data import head_phantom, phantom
-from napari_hmrf.fields import Picture, Warper, read_field
+from napari_hmrf.fields import Picture, Warper, export_field, measure, read_field
 from napari_hmrf.landmarks import read_points, write_points
 from napari_hmrf.loads import growth
 from napari_hmrf.random import RandomDeformation
@@ -36,12 +36,12 @@ def test_every_public_record_is_printed_in_a_short_line(tmp_path):
     motion = Motion(hold_edge=True, drawing=pull)
     study = Study(Grid((20, 30), (1, 1)), Tissue(labels=LABELS, materials=(MATERIAL,)), motion)
     solution, stated = solve_study(study, backend="cpu"), build_problem(study)
-    solution.export(tmp_path / "field.mha", placed=False)
+    export_field(tmp_path / "field.mha", solution, placed=False)
     write_points(tmp_path / "pairs.csv", np.ones((40, 2)), np.ones((40, 2)))
     deformation = RandomDeformation(LABELS, [MATERIAL], spacing=1, patches=2)
     records = [
         *(study, study.grid, study.tissue, study.motion, study.pictures, stated, stated.problem),
-        *(solution, solution.provenance, solution.measure(LABELS)[0]),
+        *(solution, solution.provenance, measure(solution, LABELS)[0]),
         *(ElasticPrior(RATIOS), NeoHookeanPrior(RATIOS), SeilerPrior(), ICM(), Multigrid()),
         *(phantom("bar", 32), head_phantom(24), head_phantom(24).frame, LiveSolver(print)),
         *(Picture(RATIOS), Warper(RATIOS, spacing=1), growth(RATIOS)),

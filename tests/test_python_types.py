@@ -25,10 +25,10 @@ from napari_hmrf import (
 )
 from napari_hmrf.cases import solve_cases
 from napari_hmrf.data import phantom
-from napari_hmrf.field.measurement import measure
 from napari_hmrf.fields import write_movie
 from napari_hmrf.io.fields import export_field
 from napari_hmrf.loads import reactions
+from napari_hmrf.results.measurement import measure
 from napari_hmrf.tissue import lookup_tissue, materials_by_name
 
 SHAPE = 6, 7

@@ -25,6 +25,7 @@ from napari_hmrf.geometry import Geometry
 from napari_hmrf.io.case import read_case
 from napari_hmrf.io.case_options import Case
 from napari_hmrf.io.fields import geometry_of, write_mapping
+from napari_hmrf.io.image_grid import grid_of_image
 from napari_hmrf.io.images import ImageFile, write_image
 from napari_hmrf.io.landmark_files import write_points
 from napari_hmrf.io.overwriting import refuse_overwriting
@@ -232,7 +233,7 @@ def _grid_in(image: Path, grid: Grid) -> Grid:
     if grid.place is None:
         return grid
     flat = len(grid.shape) < grid.place.ndim
-    return replace(grid, place=Grid.from_image(image, slice=0 if flat else None).place)
+    return replace(grid, place=grid_of_image(image, slice=0 if flat else None).place)
 
 
 def _write_motion(

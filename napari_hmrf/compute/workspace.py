@@ -7,6 +7,7 @@ uses it. Unless a module says otherwise, only the compute thread uses it.
 
 from __future__ import annotations
 
+import atexit
 import os
 from collections.abc import Callable
 from typing import Any, Generic, TypeVar
@@ -78,3 +79,4 @@ def _clear_all() -> None:
 
 
 in_child_of_fork(_clear_all)
+atexit.register(_clear_all)  # models are freed while all modules still exist

@@ -1,1 +1,1 @@
-"""Quantities computed from a displacement: warped images, strain, folds, inverse motion."""
+"""Functions of arrays on a grid: warped images, strain, folds, inverse motion, followers."""

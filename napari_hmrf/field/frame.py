@@ -16,7 +16,6 @@ from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.units import is_unit, unit_factor, unit_symbol
 from napari_hmrf.geometry import Geometry
 from napari_hmrf.real_arrays import grid_in_words
-from napari_hmrf.solver.solution import Solution
 
 Matrix = tuple[tuple[float, ...], ...]
 
@@ -507,23 +506,6 @@ class Frame:
         if not all(is_unit(unit) for unit in self.units) or np.isnan(factors).any():
             raise ValueError(f"its units {self.units} are unknown or incompatible")
         return self
-
-    @classmethod
-    def of_solution(cls, solution: Solution) -> Frame:
-        """Return the frame of a solution; if it has none, a frame at the origin, in its unit.
-
-        Raises
-        ------
-        ValueError
-            As for `from_dict`, or if the frame and the solution differ in their number of axes.
-        """
-        n = solution.tissue.ndim
-        if not solution.frame:
-            return cls.at(solution.spacing, (solution.unit or "pixel",) * n, volume=n == 3)
-        frame = cls.from_dict(solution.frame)
-        if len(frame.plane) != n:
-            raise ValueError(f"its plane {frame.plane} does not match a solution with {n} axes")
-        return frame
 
 
 #: Frame that is checked when it is read from a file.

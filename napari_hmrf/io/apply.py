@@ -17,7 +17,6 @@ from napari_hmrf.errors import HmrfError, ProblemError
 from napari_hmrf.field.deformation import count_folds
 from napari_hmrf.field.displacement_field import Field
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.field.observation import PixelField
 from napari_hmrf.field.resample import unknown_values, without_removed
 from napari_hmrf.field.units import unit_factor
 from napari_hmrf.field.warp import warp
@@ -32,6 +31,7 @@ from napari_hmrf.io.landmark_files import (
 from napari_hmrf.io.landmark_frames import geometry_for, refuse_stored_axes
 from napari_hmrf.io.study_file import is_study_file, read_solved
 from napari_hmrf.real_arrays import grid_in_words, whole_numbers
+from napari_hmrf.results.observation import PixelField
 from napari_hmrf.solver.solution import Solution, is_solution_file
 
 Pixels = npt.NDArray[Any]
@@ -91,7 +91,7 @@ class FieldFile:
     def of(cls, solution: Solution) -> FieldFile:
         """Return the displacement field of a solution, with the place of its image."""
         d, geometry = placed(solution)
-        frame = Frame.of_solution(solution)
+        frame = solution.place
         across = frame.others[-1:] if len(frame.plane) == 2 else ()
         axes = (*across, *frame.plane)
         return cls(
@@ -387,7 +387,7 @@ def _move_slice(field: FieldFile, image: ImageFile, name: str, order: int) -> Im
             name,
             f"is a volume of {len(image.pixels)} slices, but the field belongs to one slice and "
             "does not state which one. Solve that slice of the volume (--slice, or "
-            "Grid.from_image(volume, slice=...) in Python), or give an image of that slice only.",
+            "grid_of_image(volume, slice=...) in Python), or give an image of that slice only.",
         )
     pixels = image.pixels_in_place.copy()
     for axes in permutations(range(3)):

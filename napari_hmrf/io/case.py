@@ -17,7 +17,6 @@ import numpy.typing as npt
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.field.brightness import edge_confidence
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.field.landmark_pairs import LandmarkPairs
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.field.warp import has_volume_loops
 from napari_hmrf.io.apply import read_field_file
@@ -40,6 +39,7 @@ from napari_hmrf.io.study_file import is_study_file, read_study, write_study
 from napari_hmrf.io.sweeps import Change, changed, with_ratio
 from napari_hmrf.io.tables import read_rules
 from napari_hmrf.real_arrays import check_int32, grid_in_words, whole_numbers
+from napari_hmrf.results.landmark_pairs import LandmarkPairs
 from napari_hmrf.solver.drift import drift_clauses
 from napari_hmrf.solver.model_names import ELASTIC, MODELS, as_word
 from napari_hmrf.solver.optimizers import ICM, Monitor, Multigrid

@@ -23,7 +23,6 @@ from napari_hmrf.arguments import checked_path, require_flag, require_kind, show
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import ArgumentError, FileFormatError, ProblemError
 from napari_hmrf.field.displacement_field import Field
-from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.inverse_field import inverse_displacement
 from napari_hmrf.field.units import has_same_spacing, is_length, unit_factor
 from napari_hmrf.field.warp import as_field
@@ -293,7 +292,7 @@ def geometry_of(solution: Solution) -> Geometry:
         factor = unit_factor(solution.unit, "millimeter")
         geometry = Geometry.at_origin(solution.tissue.shape, solution.spacing)
         return replace(geometry.scaled(factor), unit="mm") if np.isfinite(factor) else geometry
-    geometry = Frame.of_solution(solution).geometry(solution.tissue.shape)
+    geometry = solution.place.geometry(solution.tissue.shape)
     check_rotation(geometry.direction, geometry.ndim)
     return geometry
 
@@ -336,7 +335,7 @@ def export_field(
         As for `write_field`.
     solution : Solution
     grid : Grid, optional
-        Grid of the image, as returned by `Grid.from_image`. Required if the solution has no place,
+        Grid of the image, as returned by `grid_of_image`. Required if the solution has no place,
         as is the case for solutions of a `Problem`, or of a study whose grid has no place.
     placed : bool
         If False, a solution without a place is written at the origin, aligned with the axes, and
@@ -366,7 +365,7 @@ def export_field(
     require_kind(Solution, "solution", solution, "the result of solve()")
     require_flag("placed", placed)
     if grid is not None:
-        require_kind(Grid, "grid", grid, "Grid.from_image(image)")
+        require_kind(Grid, "grid", grid, "grid_of_image(image)")
     displacement, geometry = place_solution(solution, grid, placed)
     return write_field(
         path,
@@ -416,7 +415,7 @@ def place_solution(
         raise ProblemError(
             "displacement",
             "has no position in world coordinates, because the position of its image is unknown. "
-            "Create the study with Grid.from_image(image), or pass this grid as grid=. For "
+            "Create the study with grid_of_image(image), or pass this grid as grid=. For "
             "pictures (.png, .tif), which have no position, pass placed=False to write the field "
             "at the origin.",
         )

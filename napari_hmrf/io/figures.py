@@ -20,8 +20,8 @@ from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.colormaps import DIVERGING, FOLDED, OPACITY, RISING, opacity
 from napari_hmrf.field.deformation import arrows, deformation_grid, pixels_between
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.field.quantities import Coloured, Quantity, coloured, title_and_unit
 from napari_hmrf.io.energy_figure import draw_energy
+from napari_hmrf.results.quantities import Coloured, Quantity, coloured, title_and_unit
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
 
@@ -311,7 +311,7 @@ def _slices_picture(
 
     figure = Figure(figsize=(15.0, 6.2), layout="constrained")
     figure.suptitle(title, fontsize=11)
-    frame = Frame.of_solution(solution)
+    frame = solution.place
     slices = [_slice_frame(frame, axis, at[axis]) for axis in range(3)]
     # Width ratios for which all three slices have the same scale.
     _, height, width = np.multiply(image.shape, solution.spacing)

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.compute.thread import compute_thread
-from napari_hmrf.field.animation import Moment, Motion
+from napari_hmrf.results.animation import Moment, Motion
 
 Array = npt.NDArray[Any]
 Bytes = npt.NDArray[np.uint8]

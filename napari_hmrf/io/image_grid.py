@@ -30,11 +30,14 @@ def grid_of_image(
     slice: int | None = None,  # noqa: A002
     axis: int = 0,
 ) -> Grid:
-    """Return the grid of an image, or of one slice of a volume.
+    """Return the grid of an image, or of one slice of a volume, including its place.
 
     Parameters
     ----------
     image : path-like, SimpleITK image or nibabel image
+        Path of a NIfTI, MetaImage or NRRD file, a folder of DICOM files, or a picture; or an image
+        object. The axes are ordered as in the array: ([z,] y, x) for a file or SimpleITK's
+        ``GetArrayFromImage``, and (x, y, z) for nibabel's ``dataobj``.
     slice : int, optional
         Index of a slice of a volume; by default, the grid of the whole image is returned, which for
         a volume of one slice is that of this slice.

@@ -18,9 +18,9 @@ from napari_hmrf.checks import Count, Samples, convert
 from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.extras import how_to_install
-from napari_hmrf.field.animation import Motion
-from napari_hmrf.field.moved_pictures import MovedPictures
 from napari_hmrf.io.film_overlay import FilmOverlay
+from napari_hmrf.results.animation import Motion
+from napari_hmrf.results.moved_pictures import MovedPictures
 from napari_hmrf.solver.solution import Solution
 
 #: Suffixes of animation files.

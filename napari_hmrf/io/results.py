@@ -9,9 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import HmrfError, ProblemError
-from napari_hmrf.field.elastic_strain import strain_note
-from napari_hmrf.field.frame import Frame
-from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.io.case import labels_of
 from napari_hmrf.io.fields import geometry_of
@@ -23,6 +20,8 @@ from napari_hmrf.posterior import Uncertainty
 from napari_hmrf.posterior.study_landmarks import LandmarkTest, examine_landmarks
 from napari_hmrf.posterior.study_uncertainty import ground_uncertainty
 from napari_hmrf.real_arrays import grid_in_words
+from napari_hmrf.results.measurement import Measurement, measure
+from napari_hmrf.solver.elastic_strain import strain_note
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import Progress
 from napari_hmrf.study.ground import Ground
@@ -101,7 +100,7 @@ def measured(
         image, resampled = labels_of(_on_grid(labels, file, solution), labels), file.resampled
     if image is None:
         image, names = np.ones(solution.tissue.shape, np.int32), {1: "tissue"}
-    unit = unit_symbol(Frame.of_solution(solution).unit)
+    unit = unit_symbol(solution.place.unit)
     found = None
     if study is not None and uncertainty:
         try:
@@ -117,7 +116,7 @@ def measured(
             )
         except ProblemError as error:
             raise HmrfError(f"--uncertainty is not possible for {path.name}: {error}") from error
-    rows = solution.measure(image, names=names, uncertainty=found)
+    rows = measure(solution, image, names=names, uncertainty=found)
     notes = tuple(filter(None, (resampled, strain_note(solution))))
     return Measured(rows, unit, solution.tissue.ndim == 3, notes)
 
@@ -190,7 +189,7 @@ def estimate_uncertainty(
     path : Path
         Solved study.
     out : Path, optional
-        Image to write, as for `Uncertainty.export`.
+        Image to write, as for `write_uncertainty`.
     n, patch, backend, progress
         As for `study_uncertainty`.
     within : Path, optional
@@ -233,7 +232,7 @@ def estimate_uncertainty(
     except ProblemError as error:
         raise HmrfError(f"the uncertainty of {path.name} is unknown: {error}") from error
     place = found.least_sure(mask)
-    unit = unit_symbol(Frame.of_solution(found.solution).unit)
+    unit = unit_symbol(found.solution.place.unit)
     if out is None:
         return EstimatedFile(found, place, unit, landmarks=tested)
     is_placed = bool(found.solution.frame)
@@ -283,7 +282,7 @@ def image_of(path: Path, image: Path | None = None) -> tuple[Solution, npt.NDArr
 
 def _on_grid(path: Path, image: ImageFile, solution: Solution) -> ImageFile:
     """Return an image on the grid of a solution; the axes of a volume are reordered to match."""
-    frame = Frame.of_solution(solution)
+    frame = solution.place
     geometry = geometry_of(solution) if solution.frame and frame.unit != "pixel" else None
     if solution.tissue.ndim == 3:
         image = image.laid_as(geometry, frame.file_axes or (0, 1, 2))

@@ -34,9 +34,9 @@ from napari_hmrf.arguments import checked_target
 from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.checks import Choice, Number, Painted, Share, Text, checked
 from napari_hmrf.errors import ArgumentError, FileFormatError
-from napari_hmrf.field.elastic_strain import StrainKind
-from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.io.table_files import Table, read_rows, write_csv
+from napari_hmrf.results.measurement import Measurement
+from napari_hmrf.solver.elastic_strain import StrainKind
 from napari_hmrf.tissue.boundary_rules import (
     Action,
     BoundaryRule,

@@ -55,26 +55,36 @@ def write_uncertainty(
     grid: Grid | None = None,
     placed: bool = True,
 ) -> tuple[Path, ...]:
-    """Write the standard deviations of patches as images; see `Uncertainty.export`.
+    """Write the standard deviations of patches as images, at the position of the image.
+
+    The images have the grid of `Solution.displacement`: each pixel shows the error bar of the
+    tissue that was there before the motion, and 0 outside tissue. Values are in mm; in a .tif, they
+    are in the unit of `spacing`.
 
     Parameters
     ----------
     path : str or path-like
+        File of the standard deviation along the motion, `along`: .nii.gz, .nii, .mha or .nrrd,
+        which require SimpleITK, or .tif, which does not store a position. The standard deviations
+        along each axis are written beside it, such as ``sd-row.nii.gz`` and ``sd-col.nii.gz`` for
+        ``sd.nii.gz``, and in a volume also ``sd-plane.nii.gz``.
     found : Uncertainty
-        Uncertainty with samples.
     grid, placed
-        As for `export_field`.
+        As for `export_field`; ignored for .tif.
 
     Returns
     -------
     tuple of Path
-        The written files, in the order of `uncertainty_paths`.
+        The written files, in the order of `uncertainty_paths`; the first one is `path`.
 
     Raises
     ------
-    ProblemError, HmrfError, OSError
+    ProblemError
+        If there are no samples; or as for `export_field`.
+    HmrfError, OSError
         As for `export_field`.
     """
+    found.require_samples()
     solution = found.solution
     paths = uncertainty_paths(path, solution.tissue.ndim)
     if paths[0].name.lower().endswith(_WITHOUT_PLACE):

@@ -18,12 +18,12 @@ from napari_hmrf.errors import ProblemError, naming
 from napari_hmrf.field.displacement_field import Field
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.moved_points import bendable
-from napari_hmrf.field.observation import PixelField
-from napari_hmrf.field.other_grid import OtherGrid
 from napari_hmrf.layers.label_colours import OBSERVED
 from napari_hmrf.layers.metadata import IMAGE, METADATA, TISSUE, metadata_of, role_of, rows_of
 from napari_hmrf.layers.result_layers import ARROWS, LayerData, PlacedSolution
 from napari_hmrf.layers.slice_view import View, copy_slice, frame_of, full_resolution, layer_extents
+from napari_hmrf.results.observation import PixelField
+from napari_hmrf.results.other_grid import OtherGrid
 
 Array = npt.NDArray[Any]
 #: Metadata kind of a layer that was deformed with a result.

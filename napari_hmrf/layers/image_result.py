@@ -11,7 +11,6 @@ import numpy as np
 from napari.layers import Image, Layer, Vectors
 from psygnal import Signal
 
-from napari_hmrf.field.animation import MARKS
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.layers.compat import hide_in_list, outline_arrows, show_name
 from napari_hmrf.layers.label_colours import opaque_gaps
@@ -31,6 +30,7 @@ from napari_hmrf.layers.viewer_layers import (
     lies_still,
     still_there,
 )
+from napari_hmrf.results.animation import MARKS
 
 #: Kind of the layer that shows painted confidence.
 CONFIDENCE: Literal["painted confidence"] = "painted confidence"

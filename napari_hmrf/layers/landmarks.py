@@ -13,8 +13,8 @@ from napari.layers import Shapes
 
 from napari_hmrf.errors import LayerError
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.field.landmark_pairs import LandmarkPairs
 from napari_hmrf.layers.slice_view import View, frame_of
+from napari_hmrf.results.landmark_pairs import LandmarkPairs
 from napari_hmrf.tissue.drawing import Drawing, Landmark
 from napari_hmrf.tissue.usual_lengths import largest_spread, usual_radius
 

@@ -14,7 +14,6 @@ from napari_hmrf.errors import HmrfError, LayerError, naming
 from napari_hmrf.field.brightness import edge_confidence
 from napari_hmrf.field.displacement_field import Field
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.field.observation import arrow_observation
 from napari_hmrf.field.units import has_same_spacing
 from napari_hmrf.layers.arrow_layer import NAME as ARROWS
 from napari_hmrf.layers.field_layer import field_layer, field_of, holds_field
@@ -36,6 +35,7 @@ from napari_hmrf.layers.slice_view import View, check_size, frame_of, plane_shap
 from napari_hmrf.layers.stored_axes import stored_axes
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.real_arrays import grid_in_words
+from napari_hmrf.results.observation import arrow_observation
 from napari_hmrf.solver.volume_memory import STUDY, require_memory
 from napari_hmrf.study.session import BRIGHTNESS, ImageChoice, Part, Session
 from napari_hmrf.study.study import Grid, Motion, Pictures, Study, Tissue

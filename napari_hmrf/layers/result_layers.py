@@ -15,17 +15,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.field.animation import (
-    MARKS,
-    Mark,
-    Motion,
-    fullest_planes,
-    marked_sites,
-    moved_grid,
-    moved_marks,
-)
 from napari_hmrf.field.colormaps import beyond, reach_of
-from napari_hmrf.field.comparison import Comparison
 from napari_hmrf.field.deformation import (
     arrows_apart,
     arrows_in_slices,
@@ -34,8 +24,6 @@ from napari_hmrf.field.deformation import (
     spread,
 )
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.field.held_forces import HeldForce, held_forces
-from napari_hmrf.field.quantities import QUANTITIES, Coloured, Quantity, coloured, title_and_unit
 from napari_hmrf.field.resample import emptiness, resample, without_removed
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.field.warp import inverse_map_and_overlaps
@@ -44,6 +32,18 @@ from napari_hmrf.layers.metadata import METADATA
 from napari_hmrf.notes import kind_of
 from napari_hmrf.posterior import Uncertainty
 from napari_hmrf.posterior.study_uncertainty import ground_uncertainty
+from napari_hmrf.results.animation import (
+    MARKS,
+    Mark,
+    Motion,
+    fullest_planes,
+    marked_sites,
+    moved_grid,
+    moved_marks,
+)
+from napari_hmrf.results.comparison import Comparison
+from napari_hmrf.results.held_forces import HeldForce, held_forces
+from napari_hmrf.results.quantities import QUANTITIES, Coloured, Quantity, coloured, title_and_unit
 from napari_hmrf.solver.drift import drift_clauses
 from napari_hmrf.solver.model_names import in_words, model_name
 from napari_hmrf.solver.priors import Elastic, ElasticPrior
@@ -230,7 +230,7 @@ def result_layers(
     ValueError
         If the solution's frame is not a valid frame of layers.
     """
-    frame = Frame.of_solution(solution) if frame is None else frame
+    frame = solution.place if frame is None else frame
     solution = replace(solution, frame={**(solution.frame or {}), **frame.as_dict()})
     checkpoint()
     folded = smallest_determinant(solution.displacement, **solution.on_grid) <= 0

@@ -8,8 +8,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -28,9 +27,6 @@ from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, check_arguments
 from napari_hmrf.solver.uncertain_landmarks import StrainScale
-
-if TYPE_CHECKING:
-    from napari_hmrf.study.study import Grid
 
 Float32Array = npt.NDArray[np.float32]
 Float64Array = npt.NDArray[np.float64]
@@ -134,7 +130,7 @@ class Uncertainty:
         ProblemError
             If the points have another number of axes, or if there are no samples.
         """
-        self._require_samples()
+        self.require_samples()
         tissue = self.solution.tissue
         places = np.array(as_numbers("points", points), np.float64)
         if places.ndim != 2 or places.shape[1] != tissue.ndim or not np.isfinite(places).all():
@@ -168,7 +164,7 @@ class Uncertainty:
         ProblemError
             If there are no samples, or `where` contains no tissue or has another shape.
         """
-        self._require_samples()
+        self.require_samples()
         sites = self.solution.tissue
         if where is not None:
             mask = np.asarray(as_numbers("where", where)) != 0
@@ -184,43 +180,14 @@ class Uncertainty:
         longest = int(np.where(sites, self.along, -1).argmax())
         return tuple(int(index) for index in np.unravel_index(longest, sites.shape))
 
-    def export(
-        self, path: str | os.PathLike[str], *, grid: Grid | None = None, placed: bool = True
-    ) -> tuple[Path, ...]:
-        """Write the standard deviations of patches as images, at the position of the image.
-
-        The images have the grid of `Solution.displacement`: each pixel shows the error bar of the
-        tissue that was there before the motion, and 0 outside tissue. Values are in mm; in a .tif,
-        they are in the unit of `spacing`.
-
-        Parameters
-        ----------
-        path : str or path-like
-            File of the standard deviation along the motion, `along`: .nii.gz, .nii, .mha or .nrrd,
-            which require SimpleITK, or .tif, which does not store a position. The standard
-            deviations along each axis are written beside it, such as ``sd-row.nii.gz`` and
-            ``sd-col.nii.gz`` for ``sd.nii.gz``, and in a volume also ``sd-plane.nii.gz``.
-        grid, placed
-            As for `Solution.export`; ignored for .tif.
-
-        Returns
-        -------
-        tuple of Path
-            The written files; the first one is `path`.
+    def require_samples(self) -> None:
+        """Raise an error if the standard deviations were not sampled.
 
         Raises
         ------
         ProblemError
-            If there are no samples; or as for `Solution.export`.
-        HmrfError, OSError
-            As for `Solution.export`.
+            If there are no samples.
         """
-        from napari_hmrf.io.uncertainty_files import write_uncertainty  # above: io
-
-        self._require_samples()
-        return write_uncertainty(path, self, grid=grid, placed=placed)
-
-    def _require_samples(self) -> None:
         if not self.n:
             raise ProblemError(
                 "n", "is 0, so the standard deviations of patches are unknown. Pass 2 or more."

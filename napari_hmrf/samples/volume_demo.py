@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from napari_hmrf.compute.compile_cache.sets import EVERYTHING
-from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.io.figures import write_volume_pictures
 from napari_hmrf.io.study_file import write_study
 from napari_hmrf.real_arrays import grid_in_words
+from napari_hmrf.results.measurement import Measurement, measure
 from napari_hmrf.samples.head import GROWTH, TUMOUR, HeadPhantom, head_phantom
 from napari_hmrf.solver.backends.job import SolveJob
 from napari_hmrf.solver.model_names import in_words
@@ -132,7 +132,7 @@ def demonstrate_volume(
         job = SolveJob(study.grid.shape, study.grid.spacing, study.prior, study.optimizer)
         provide_loops(job.loops, progress)
     solution = solve_study(study, backend=backend, progress=progress)
-    measured = solution.measure(head.tissue_labels)
+    measured = measure(solution, head.tissue_labels)
     return VolumeDemonstration(
         head,
         study,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -75,3 +75,37 @@ class Elasticity:
         poisson = self.poisson if isinstance(self.poisson, float) else change(self.poisson)
         growth = None if self.growth is None else change(self.growth)
         return replace(self, stiffness=change(self.stiffness), poisson=poisson, growth=growth)
+
+
+class MovedTissue(Protocol):
+    """Displacement of tissue whose strain and stress are computed: a `Solution`."""
+
+    @property
+    def displacement(self) -> FloatArray:
+        """Displacement, shape ([D,] H, W, n), in the unit of `spacing`."""
+        ...
+
+    @property
+    def tissue(self) -> npt.NDArray[np.bool_]:
+        """Mask of the tissue, shape ([D,] H, W)."""
+        ...
+
+    @property
+    def spacing(self) -> tuple[float, ...]:
+        """Pixel size along each axis."""
+        ...
+
+    @property
+    def parts(self) -> npt.NDArray[np.int32] | None:
+        """Labels of parts that slide along each other, shape ([D,] H, W)."""
+        ...
+
+    @property
+    def elasticity(self) -> Elasticity | None:
+        """Elastic properties of the tissue; None if they are unknown."""
+        ...
+
+    @property
+    def provenance(self) -> Any:
+        """Model and parameters of the displacement; see `Provenance`."""
+        ...

@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -15,16 +15,19 @@ from pydantic import FailFast, Field, PositiveFloat
 from napari_hmrf.archive import STORED, Archive
 from napari_hmrf.arguments import is_one_of, refuse_unless, require_flag, shown
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.field import deformation, moved_points
+from napari_hmrf.field import warp as warping
+from napari_hmrf.field.frame import Frame
+from napari_hmrf.field.resample import without_removed
+from napari_hmrf.field.strain import green_lagrange_strain, small_strain
+from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.real_arrays import FiniteArray, grid_in_words
+from napari_hmrf.solver.elastic_strain import elastic_strain
 from napari_hmrf.solver.elasticity import Elasticity
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.model_names import model_name
 from napari_hmrf.solver.optimizers.base import Convergence, LevelRun, Reach
-
-if TYPE_CHECKING:
-    from napari_hmrf.field.measurement import LabelBars, Measurement
-    from napari_hmrf.study.study import Grid
-
+from napari_hmrf.solver.stress import hydrostatic_pressure, stress_values, von_mises_stress
 
 #: Backend in the record of a sum of solutions, as of a random deformation; no solve has it.
 SUM = "sum"
@@ -205,11 +208,26 @@ class Solution:
         )
 
     @property
+    def place(self) -> Frame:
+        """Frame of the solution; if it has none, a frame at the origin, in its unit.
+
+        Raises
+        ------
+        ValueError
+            As for `Frame.from_dict`, or if the frame has another number of axes.
+        """
+        n = self.tissue.ndim
+        if not self.frame:
+            return Frame.at(self.spacing, (self.unit or "pixel",) * n, volume=n == 3)
+        frame = Frame.from_dict(self.frame)
+        if len(frame.plane) != n:
+            raise ValueError(f"its plane {frame.plane} does not match a solution with {n} axes")
+        return frame
+
+    @property
     def _unit_in_words(self) -> str:
         """Unit of length, preceded by a space; "" if the unit is unknown."""
         if self.unit not in ("", "pixel"):
-            from napari_hmrf.field.units import unit_symbol  # above: field
-
             return f" {unit_symbol(self.unit)}"
         even = all(size == 1 for size in self.spacing)
         return " pixels" if self.unit or even else ""
@@ -224,8 +242,7 @@ class Solution:
         """Final mean total energy per site of tissue, in pixels squared."""
         return float(self.energy[-1])
 
-    # These methods import higher layers of the package when they are called. They pass on spacing,
-    # tissue and parts, so that the caller cannot forget these arguments.
+    # These methods pass on spacing, tissue and parts, so that the caller cannot forget them.
 
     def warp(
         self, image: npt.ArrayLike, *, order: int = 1, fill: float = 0
@@ -248,11 +265,8 @@ class Solution:
         ProblemError
             If the image does not have the pixel grid of the solution.
         """
-        from napari_hmrf.field.resample import without_removed  # above: field
-        from napari_hmrf.field.warp import warp  # above: field
-
         remaining = without_removed(image, self.removed, fill)
-        return warp(remaining, self.displacement, order=order, fill=fill, **self.on_grid)
+        return warping.warp(remaining, self.displacement, order=order, fill=fill, **self.on_grid)
 
     def jacobian(self) -> npt.NDArray[np.float32]:
         """Return the factor by which area or volume changes at each site.
@@ -262,15 +276,11 @@ class Solution:
         ndarray, shape ([D,] H, W), float32
             As for `jacobian_determinant`.
         """
-        from napari_hmrf.field.deformation import jacobian_determinant  # above: field
-
-        return jacobian_determinant(self.displacement, **self.on_grid)
+        return deformation.jacobian_determinant(self.displacement, **self.on_grid)
 
     def count_folds(self) -> int:
         """Count the sites at which tissue folds over itself or collapses."""
-        from napari_hmrf.field.deformation import count_folds  # above: field
-
-        return count_folds(self.displacement, **self.on_grid)
+        return deformation.count_folds(self.displacement, **self.on_grid)
 
     def strain(
         self, kind: Literal["elastic", "total", "small"] = "elastic"
@@ -298,9 +308,6 @@ class Solution:
         ProblemError
             If the model has no elastic strain, such as the paper's model.
         """
-        from napari_hmrf.field.elastic_strain import elastic_strain  # above: field
-        from napari_hmrf.field.strain import green_lagrange_strain, small_strain  # above: field
-
         known = is_one_of(kind, ("elastic", "total", "small"))
         refuse_unless(known, "kind", kind, '"elastic", "total" or "small"')
         if kind == "elastic":
@@ -332,8 +339,6 @@ class Solution:
         ProblemError
             If the model has no stress, such as the paper's model.
         """
-        from napari_hmrf.field.stress import stress_values  # above: field
-
         return stress_values(self, at=at)
 
     def von_mises(self, at: Literal["sites", "elements"] = "sites") -> npt.NDArray[np.float32]:
@@ -353,8 +358,6 @@ class Solution:
         ArgumentError, ProblemError
             As for `stress`.
         """
-        from napari_hmrf.field.stress import stress_values, von_mises_stress  # above: field
-
         return stress_values(self, von_mises_stress, at=at)
 
     def pressure(self, at: Literal["sites", "elements"] = "sites") -> npt.NDArray[np.float32]:
@@ -375,8 +378,6 @@ class Solution:
         ArgumentError, ProblemError
             As for `stress`.
         """
-        from napari_hmrf.field.stress import hydrostatic_pressure, stress_values  # above: field
-
         return stress_values(self, hydrostatic_pressure, at=at)
 
     @property
@@ -434,102 +435,16 @@ class Solution:
             If the points and the field have different numbers of axes or all points are outside the
             grid.
         """
-        from napari_hmrf.field import moved_points as motion  # above: field
-
         require_flag("extend", extend)
-        motion.refuse_outside(points, self.tissue.shape)
-        moved = motion.moved_points(points, self.displacement, spacing=self.spacing)
+        moved_points.refuse_outside(points, self.tissue.shape)
+        moved = moved_points.moved_points(points, self.displacement, spacing=self.spacing)
         if not extend:
             return moved
         at = np.asarray(points, np.float64)
-        step = motion.interpolate_in_tissue(
+        step = moved_points.interpolate_in_tissue(
             self.displacement, self.tissue, at, spacing=self.spacing
         )
         return np.asarray(at + step / np.array(self.spacing))
-
-    def measure(
-        self,
-        labels: npt.ArrayLike,
-        *,
-        names: Mapping[int, str] | None = None,
-        uncertainty: LabelBars | None = None,
-    ) -> tuple[Measurement, ...]:
-        """Measure the deformation of each tissue.
-
-        Parameters
-        ----------
-        labels : array_like of int, shape ([D,] H, W)
-            Labels of the tissue before the motion.
-        names : mapping of int to str, optional
-            Names of the labels.
-        uncertainty : Uncertainty, optional
-            Result of `napari_hmrf.posterior.uncertainty` for the same problem and labels, for the
-            error bars of the mean displacements.
-
-        Returns
-        -------
-        tuple of Measurement
-            One measurement for each label that has tissue.
-
-        Raises
-        ------
-        ProblemError
-            If the labels do not have the pixel grid of the solution, or if `uncertainty` belongs to
-            other labels or another solution.
-        """
-        from napari_hmrf.field.measurement import measure  # above: field
-
-        return measure(self, labels, names=names, uncertainty=uncertainty)
-
-    def export(
-        self,
-        path: str | os.PathLike[str],
-        *,
-        forward: bool = False,
-        grid: Grid | None = None,
-        placed: bool = True,
-    ) -> float:
-        """Write the field to a file for other tools, in the coordinates of its image.
-
-        Parameters
-        ----------
-        path : str or path-like
-            As for `napari_hmrf.fields.write_field`, which lists the formats.
-        forward : bool
-            If True, the file maps old positions of tissue to new positions, like transforms of
-            points. By default, it maps new positions to old positions, like transforms of images.
-        grid : Grid, optional
-            Grid of the image, as returned by `Grid.from_image`. Required if the solution has no
-            position in world coordinates, because it was computed from a `Problem` or from a study
-            with a grid that has no such position.
-        placed : bool
-            If False, a solution without a position in world coordinates is written at the origin,
-            along the axes, with its spacing converted to mm; an unknown unit counts as 1 mm. Other
-            tools place images such as .png and .tif in the same way.
-
-        Returns
-        -------
-        float
-            Largest deviation, in pixels, of the written inverse from an exact inverse; 0 if
-            `forward`.
-
-        Raises
-        ------
-        ArgumentError
-            If `grid` is not a Grid.
-        ProblemError
-            If the position is unknown or not supported by the file format, or if the grid differs
-            from the solution in shape, spacing or position.
-        FileFormatError
-            If the suffix of the name does not belong to a field file.
-        HmrfError
-            If SimpleITK is not installed.
-        OSError
-            If the file cannot be written.
-        """
-        from napari_hmrf.io.fields import export_field  # above: io
-
-        return export_field(path, self, forward=forward, grid=grid, placed=placed)
 
     @property
     def on_grid(self) -> dict[str, Any]:

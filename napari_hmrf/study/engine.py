@@ -23,9 +23,9 @@ from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.errors import Cancelled, HmrfError
 from napari_hmrf.field.live_warp import Picture
 from napari_hmrf.field.motion_lines import Lines
-from napari_hmrf.field.moved_pictures import MovedPictures
-from napari_hmrf.field.resample import on_finer_grid
-from napari_hmrf.field.tissue_point import Points, first_tissue, holds
+from napari_hmrf.results.finer_grid import on_finer_grid
+from napari_hmrf.results.moved_pictures import MovedPictures
+from napari_hmrf.results.tissue_point import Points, first_tissue, holds
 from napari_hmrf.solver.live_solver import Input, Known, LiveSolver, Update, has_stopped
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.solution import Solution

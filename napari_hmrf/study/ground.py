@@ -579,7 +579,7 @@ def _refuse_thin(study: Study) -> None:
         raise ProblemError(
             study.named("image", "tissue"),
             f"is a volume with one voxel along axis {across}. Pass the slice as an image, for "
-            f"example data.squeeze({across}) on Grid.from_image(image).",
+            f"example data.squeeze({across}) on grid_of_image(image).",
         )
 
 

@@ -6,11 +6,10 @@ shares the unchanged parts. Arrays are therefore compared by identity, not by va
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence, Sized
 from contextlib import contextmanager
 from dataclasses import KW_ONLY, InitVar, dataclass, field, fields, replace
-from typing import Annotated, Any, Literal, Protocol
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -61,25 +60,6 @@ _Weight = Annotated[
 _IN_SLICE = 0.5 + 1e-3
 
 
-class SimpleItkImage(Protocol):
-    """Methods of a SimpleITK image that describe its grid."""
-
-    def GetSize(self) -> Sequence[int]: ...  # noqa: D102
-    def GetSpacing(self) -> Sequence[float]: ...  # noqa: D102
-    def GetOrigin(self) -> Sequence[float]: ...  # noqa: D102
-    def GetDirection(self) -> Sequence[float]: ...  # noqa: D102
-    def GetDimension(self) -> int: ...  # noqa: D102
-
-
-class NibabelImage(Protocol):
-    """Properties of a nibabel image that describe its grid."""
-
-    @property
-    def affine(self) -> Any: ...  # noqa: D102
-    @property
-    def dataobj(self) -> Any: ...  # noqa: D102
-
-
 @dataclass(frozen=True)
 class Grid:
     """Pixel grid of all images of a study.
@@ -92,10 +72,10 @@ class Grid:
         Size of a pixel along each axis, in `unit`; a single number applies to all axes.
     unit : str
         Unit of all lengths, such as displacements and radii. Different names of the same unit, such
-        as "mm" and "millimeter", are equivalent; `from_image` returns "millimeter".
+        as "mm" and "millimeter", are equivalent; `grid_of_image` returns "millimeter".
     place : Frame, optional
-        Position of the pixels in the world and, for a slice, within its volume; see `from_image`.
-        Required to export files for other programs; it does not affect the displacement. A place
+        Position of the pixels in the world and, for a slice, within its volume, as returned by
+        `grid_of_image`. Required to export files; it does not affect the displacement. A place
         does not include the number of pixels: a grid with fewer pixels starts at the same pixel.
 
     Raises
@@ -131,7 +111,7 @@ class Grid:
         if not isinstance(place, Frame):
             raise ProblemError(
                 "grid",
-                f"has a place of type {type(place).__name__}. Pass a Frame; see Grid.from_image.",
+                f"has a place of type {type(place).__name__}. Pass a Frame; see grid_of_image.",
             )
         if len(place.plane) != len(self.shape):
             raise ProblemError(
@@ -169,7 +149,7 @@ class Grid:
                 f"{solution.unit}"
             ).rstrip()
         elif solution.frame and self.place is not None:
-            place = Frame.of_solution(solution)
+            place = solution.place
             if place.ndim != self.place.ndim or not place.same_place(self.place, shape):
                 difference = "is not in the same place as the field"
         if difference:
@@ -226,44 +206,6 @@ class Grid:
             )
         pixels: npt.NDArray[np.float64] = inside[:, list(self.place.plane)]
         return pixels
-
-    @classmethod
-    def from_image(
-        cls,
-        image: str | os.PathLike[str] | SimpleItkImage | NibabelImage,
-        *,
-        slice: int | None = None,  # noqa: A002
-        axis: int = 0,
-    ) -> Grid:
-        """Create the grid of an image, or of one slice of a volume, including its place.
-
-        Parameters
-        ----------
-        image : path-like, SimpleITK image or nibabel image
-            Path of a NIfTI, MetaImage or NRRD file, a folder of DICOM files, or a picture; or an
-            image object. The axes are ordered as in the array: ([z,] y, x) for a file or
-            SimpleITK's ``GetArrayFromImage``, and (x, y, z) for nibabel's ``dataobj``.
-        slice : int, optional
-            Index of a slice of a volume; by default the grid of the whole image is returned.
-        axis : int
-            Axis of the array that `slice` refers to.
-
-        Returns
-        -------
-        Grid
-
-        Raises
-        ------
-        ArgumentError
-            If `image` has another type, or if it does not have this slice.
-        ProblemError
-            If the axes of the image are not at right angles.
-        FileFormatError, HmrfError, OSError
-            If a file cannot be read.
-        """
-        from napari_hmrf.io.image_grid import grid_of_image  # above: io
-
-        return grid_of_image(image, slice=slice, axis=axis)
 
     def __repr__(self) -> str:
         place = "" if self.place is None else ", placed"

@@ -5,8 +5,8 @@ from __future__ import annotations
 from operator import attrgetter
 from typing import Any, Generic, TypeVar, overload
 
-from napari_hmrf.field.comparison import Comparison
 from napari_hmrf.layers.slice_view import Sides
+from napari_hmrf.results.comparison import Comparison
 from napari_hmrf.solver.model_names import ModelName, Plane
 from napari_hmrf.study.models import SolverDetails
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from typing import Any
 
 from napari_hmrf.errors import ConvergenceError, HmrfError, in_words
-from napari_hmrf.field.animation import MARKS, Mark
 from napari_hmrf.field.deformation import magnitude
 from napari_hmrf.field.units import as_seen, unit_symbol
 from napari_hmrf.layers.result_layers import CompleteResult, Outputs
 from napari_hmrf.notes import Note, kind_of, short_of
+from napari_hmrf.results.animation import MARKS, Mark
 from napari_hmrf.solver import live_solver
 from napari_hmrf.solver.caveats import LOOSE
 from napari_hmrf.solver.drift import drift_clauses

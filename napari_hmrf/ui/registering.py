@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from napari_hmrf.compute.thread import compute_thread
-from napari_hmrf.field.resample import on_finer_grid
 from napari_hmrf.layers.second_picture import align_layer
 from napari_hmrf.registration.matching import Step
 from napari_hmrf.registration.study_registration import RegisteredStudy, register_study
+from napari_hmrf.results.finer_grid import on_finer_grid
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.engine import Deformation
 from napari_hmrf.study.measured_motion import MeasuredMotion

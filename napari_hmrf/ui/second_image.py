@@ -11,7 +11,6 @@ import numpy as np
 from napari.layers.base import ActionType
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.field.landmark_pairs import LandmarkPairs
 from napari_hmrf.field.units import as_seen
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.landmarks import landmark_pairs
@@ -19,6 +18,7 @@ from napari_hmrf.layers.result_layers import PlacedSolution
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_layers import layers_of, shared
 from napari_hmrf.notes import kind_of
+from napari_hmrf.results.landmark_pairs import LandmarkPairs
 from napari_hmrf.solver.drift import drift_clauses
 from napari_hmrf.study.landmark_data import HELD_EDGE
 from napari_hmrf.study.session import Session

@@ -11,9 +11,9 @@ from psygnal import Signal
 from qtpy.QtWidgets import QWidget
 
 from napari_hmrf.compute.thread import compute_thread
-from napari_hmrf.field.rehearsal import rehearse
 from napari_hmrf.layers.painted_overlay import painted_overlay
 from napari_hmrf.layers.result_layers import CompleteResult, complete_result
+from napari_hmrf.results.rehearsal import rehearse
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.study.engine import Deformation, Engine
 from napari_hmrf.study.study import Study

@@ -6,10 +6,10 @@ from typing import Any
 
 from psygnal import Signal
 
-from napari_hmrf.field.animation import MARKS, Mark
 from napari_hmrf.layers.metadata import metadata_of
 from napari_hmrf.layers.result_layers import CompleteResult
 from napari_hmrf.layers.slice_view import plane_shown, view_of
+from napari_hmrf.results.animation import MARKS, Mark
 from napari_hmrf.study.models import larger_budget
 from napari_hmrf.study.session import Session
 from napari_hmrf.ui import messages

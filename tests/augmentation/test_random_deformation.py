@@ -22,9 +22,9 @@ from napari_hmrf import (
 from napari_hmrf.augmentation.fold_limit import largest_scale
 from napari_hmrf.augmentation.ground_truth import landmarks
 from napari_hmrf.field.deformation import smallest_determinant
-from napari_hmrf.field.measurement import measure
 from napari_hmrf.fields import Picture, deformation_gradient, fold_mask
 from napari_hmrf.random import RandomDeformation
+from napari_hmrf.results.measurement import measure
 from napari_hmrf.tissue import RIGID
 from napari_hmrf.tissue.normals import outer_rim
 

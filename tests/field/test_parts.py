@@ -7,10 +7,7 @@ import pytest
 import scipy
 
 from napari_hmrf import Pictures, Problem, ProblemError, Solution, solve
-from napari_hmrf.field.animation import marked_sites
 from napari_hmrf.field.live_warp import Picture, Warper
-from napari_hmrf.field.quantities import area_change, values_of
-from napari_hmrf.field.tissue_point import Points
 from napari_hmrf.field.warp import inverse_map_and_overlaps, warp
 from napari_hmrf.fields import (
     count_folds,
@@ -18,10 +15,14 @@ from napari_hmrf.fields import (
     deformation_grid,
     fold_mask,
     jacobian_determinant,
+    measure,
     small_strain,
 )
 from napari_hmrf.io.apply import FieldFile
 from napari_hmrf.layers.result_layers import result_layers
+from napari_hmrf.results.animation import marked_sites
+from napari_hmrf.results.quantities import area_change, values_of
+from napari_hmrf.results.tissue_point import Points
 from napari_hmrf.tissue import SlidingParts
 
 SLIP = 15.0
@@ -146,7 +147,7 @@ def test_a_solution_reports_no_folds_and_little_strain_at_a_long_slip(slipped, t
         assert found.count_folds() == 0
         assert abs(found.strain()).max() < 0.05
         assert abs(found.strain("total")).max() < 0.05
-        (row,) = found.measure(np.ones(found.tissue.shape, int))
+        (row,) = measure(found, np.ones(found.tissue.shape, int))
         assert row.folds == 0
         assert abs(row.size_change) < 0.5
     outputs = result_layers(slipped, pictures=Pictures(np.ones(slipped.tissue.shape)))

@@ -9,28 +9,28 @@ import pytest
 from napari_hmrf import ProblemError, warp
 from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.field import tetrahedron_raster
-from napari_hmrf.field.animation import Motion
-from napari_hmrf.field.comparison import compare
 from napari_hmrf.field.deformation import jacobian_determinant, spread
 from napari_hmrf.field.displacement_field import Field
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.inverse_field import inverse_displacement
 from napari_hmrf.field.inverse_point import inverse_point
 from napari_hmrf.field.live_warp import Picture, Warper
-from napari_hmrf.field.measurement import measure
 from napari_hmrf.field.moved_points import moved_points
-from napari_hmrf.field.observation import PixelField, arrow_observation
-from napari_hmrf.field.other_grid import OtherGrid
-from napari_hmrf.field.quantities import area_change, coloured, title_and_unit, values_of
 from napari_hmrf.field.resample import emptiness
 from napari_hmrf.field.strain import (
     equivalent_strain,
     green_lagrange_strain,
     principal_strains,
 )
-from napari_hmrf.field.tissue_point import Points
 from napari_hmrf.fields import inverse_map
 from napari_hmrf.geometry import Geometry
+from napari_hmrf.results.animation import Motion
+from napari_hmrf.results.comparison import compare
+from napari_hmrf.results.measurement import measure
+from napari_hmrf.results.observation import PixelField, arrow_observation
+from napari_hmrf.results.other_grid import OtherGrid
+from napari_hmrf.results.quantities import area_change, coloured, title_and_unit, values_of
+from napari_hmrf.results.tissue_point import Points
 from napari_hmrf.solver.solution import Provenance, Solution
 
 SHAPE = (14, 15, 16)

@@ -119,7 +119,7 @@ def test_a_shifted_volume_is_at_another_place():
 def test_the_frame_of_a_volume_survives_a_file_round_trip(plane):
     frame = place(plane)
     assert Frame.from_dict(json.loads(json.dumps(frame.as_dict()))) == frame
-    assert Frame.of_solution(solution(frame=frame.as_dict())) == frame
+    assert solution(frame=frame.as_dict()).place == frame
 
 
 @pytest.mark.parametrize("plane", [(0, 1, 1), (0, 1, 3), (0, 1, 2, 3), (0,)])
@@ -129,9 +129,9 @@ def test_a_frame_with_invalid_axes_is_rejected(plane):
 
 
 def test_a_solution_without_a_frame_is_at_the_origin():
-    frame = Frame.of_solution(solution())
+    frame = solution().place
     assert (frame.plane, frame.spacing, frame.unit) == ((0, 1, 2), SIZE, "pixel")
-    assert Frame.of_solution(replace(solution(), unit="mm")).unit == "mm"
-    assert Frame.of_solution(solution(SHAPE[1:])).plane == (0, 1)
+    assert replace(solution(), unit="mm").place.unit == "mm"
+    assert solution(SHAPE[1:]).place.plane == (0, 1)
     with pytest.raises(ValueError, match="match a solution with 3 axes"):
-        Frame.of_solution(solution(frame=Frame.at(SIZE, ("mm",) * 3).as_dict()))
+        _ = solution(frame=Frame.at(SIZE, ("mm",) * 3).as_dict()).place

@@ -6,9 +6,9 @@ import pytest
 from napari_hmrf import warp
 from napari_hmrf.data import phantom, reference_displacement
 from napari_hmrf.field.deformation import count_folds
-from napari_hmrf.field.resample import on_finer_grid
 from napari_hmrf.field.warp import inverse_map_and_overlaps
 from napari_hmrf.fields import inverse_map, resample
+from napari_hmrf.results.finer_grid import on_finer_grid
 from napari_hmrf.solver.solution import Provenance, Solution
 
 

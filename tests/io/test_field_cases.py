@@ -17,10 +17,10 @@ from napari.components import ViewerModel
 from napari.layers import Layer
 from napari.layers._source import layer_source
 
-from napari_hmrf import FileFormatError, Grid, HmrfError, ProblemError, read_study
+from napari_hmrf import FileFormatError, HmrfError, ProblemError, read_study
 from napari_hmrf.cli import main
 from napari_hmrf.contributions import open_landmarks, open_scan
-from napari_hmrf.fields import read_field
+from napari_hmrf.fields import grid_of_image, read_field
 from napari_hmrf.geometry import Geometry
 from napari_hmrf.io import case, itk_files, itk_reader
 from napari_hmrf.io.apply import FieldFile, _note_on_labels, apply_field
@@ -253,7 +253,7 @@ def test_an_image_is_refused_with_its_reason(tmp_path, capsys, name, write, reas
     write(path)
     command = ["solve", path, "--hold-edge", "-o", tmp_path / "out"]
     said = [refused(command, capsys)]
-    reads = [Grid.from_image]
+    reads = [grid_of_image]
     is_scan_name = name not in ("a.mgz", "a.tif", "a.npz", "IM1")  # others read these
     reads += [open_scan(str(path))] * is_scan_name
     reads += [read_field] * (reason == "right angles") + [read_label_names] * (reason == "2 layers")
@@ -420,14 +420,14 @@ def test_an_image_of_nibabel_has_the_place_of_its_file(tmp_path, sform, codes):
     path = nifti(tmp_path / "a.nii.gz", sform, codes)
     image = nibabel.load(path)
     try:
-        matrix = np.array(Grid.from_image(path).place.matrix)
+        matrix = np.array(grid_of_image(path).place.matrix)
     except FileFormatError as error:
         reason = str(error).rpartition("as an image: ")[2]
         reason = reason.removeprefix("a.nii.gz: ").partition(" Resample")[0].rstrip(".")
         with pytest.raises(ProblemError, match=re.escape(reason)):
-            Grid.from_image(image)
+            grid_of_image(image)
         return
-    at = np.array(Grid.from_image(image).place.matrix) @ [1, 2, 3, 1]
+    at = np.array(grid_of_image(image).place.matrix) @ [1, 2, 3, 1]
     np.testing.assert_allclose(matrix @ [3, 2, 1, 1], at, atol=1e-5)
 
 
@@ -521,7 +521,7 @@ def test_the_calibration_of_a_tif_counts(tmp_path, monkeypatch, axes, sizes, uni
     marks = tmp_path / "marks.csv"
     marks.write_text(f"a,true,{stored[0]},{stored[1]}\n")
     study = read_case(Case(path, boundary=marks))
-    for grid in (study.grid, Grid.from_image(path)):
+    for grid in (study.grid, grid_of_image(path)):
         assert grid.spacing == pytest.approx(sizes)
         assert grid.unit == read_as
     (mark,) = study.motion.drawing.marks
@@ -592,7 +592,7 @@ def test_a_picture_without_a_pixel_size_can_be_given_one(tmp_path, capsys):
 def test_one_channel_or_time_of_a_stack_can_be_chosen(tmp_path, axes):
     path = write_tiff(tmp_path / "a.tif", axes)
     assert read_case(Case(path, slice=1)).grid.shape == (8, 9)
-    assert Grid.from_image(path, slice=1).shape == (8, 9)
+    assert grid_of_image(path, slice=1).shape == (8, 9)
     viewer = ViewerModel()
     with layer_source(path=str(path)):
         layer = viewer.add_image(tifffile.imread(path))
@@ -743,8 +743,8 @@ def test_a_volume_of_one_slice_is_solved_as_this_slice(tmp_path, across):
     at[2 - across] = to[2 - across] = 0
     (tmp_path / "marks.csv").write_text(f"a,true,{','.join(map(str, [*at, *to]))}\n")
     study = read_case(Case(tmp_path / "slice.nii.gz", boundary=tmp_path / "marks.csv"))
-    assert Grid.from_image(tmp_path / "slice.nii.gz") == Grid.from_image(image)
-    assert Grid.from_image(image).shape == study.grid.shape
+    assert grid_of_image(tmp_path / "slice.nii.gz") == grid_of_image(image)
+    assert grid_of_image(image).shape == study.grid.shape
     np.testing.assert_array_equal(study.pictures.image, pixels.take(1, axis=across))
     (mark,) = study.motion.drawing.marks
     sizes = np.array((2, 1, 1))

@@ -19,7 +19,7 @@ WRITERS = (
     "io.case.solve_case",
 )
 #: Modules that may write to a disk directly; all others use `write_whole`.
-_BY_THEMSELVES = ("atomic_write.py", "io/itk_reader.py", "solver/backends/", "compiling.py")
+_BY_THEMSELVES = ("atomic_write.py", "io/itk_reader.py", "compute/compile_cache/", "compiling.py")
 _WAYS = (
     *("write_text", "write_bytes", "savez", "savez_compressed", "tofile", "savefig", "imsave"),
     *("imwrite", "WriteImage", "WriteTransform"),

@@ -14,9 +14,9 @@ import pytest
 from napari.components import ViewerModel
 from napari.layers import Layer
 
-from napari_hmrf import Drawing, Grid, Motion, Pictures, Study, solve_study
+from napari_hmrf import Drawing, Motion, Pictures, Study, solve_study
 from napari_hmrf.contributions import open_landmarks, open_scan
-from napari_hmrf.fields import read_field
+from napari_hmrf.fields import grid_of_image, read_field
 from napari_hmrf.io.apply import apply_field, read_field_file
 from napari_hmrf.io.case import read_case
 from napari_hmrf.io.case_options import Case, RegistrationCase
@@ -149,7 +149,7 @@ def study_by(door, scan, folder):
         given = as_nibabel(scan)
         pixels = np.asarray(given.dataobj)
     across = pixels.shape.index(1) if scan.kind == "2-D" else None
-    grid = Grid.from_image(given, **({} if across is None else {"slice": 0, "axis": across}))
+    grid = grid_of_image(given, **({} if across is None else {"slice": 0, "axis": across}))
     at = grid.to_pixels([scan.world(voxel)[::-1] for voxel in (SOURCE, TARGET)])
     drawing = Drawing.from_landmarks(at[:1], at[1:], radius=0.1)
     image = np.squeeze(pixels, across)

@@ -10,10 +10,10 @@ from napari_hmrf import ProblemError
 from napari_hmrf.contributions import open_scan, open_solution
 from napari_hmrf.field.displacement_field import Field
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.field.observation import PixelField
 from napari_hmrf.fields import write_field
 from napari_hmrf.layers.field_layer import field_layer, field_of
 from napari_hmrf.layers.metadata import layer_metadata
+from napari_hmrf.results.observation import PixelField
 from napari_hmrf.tissue import edge_confidence
 from tests.support.screen import Screen
 

@@ -19,6 +19,7 @@ from napari_hmrf import (
     solve,
     solve_study,
 )
+from napari_hmrf.fields import measure
 from napari_hmrf.landmarks import Landmarks, StrainScale
 from napari_hmrf.loads import growth
 from napari_hmrf.posterior import study_uncertainty, uncertainty
@@ -66,7 +67,7 @@ def test_the_error_bar_of_a_growing_tumour_is_that_of_its_outward_motion():
     )
     result = uncertainty(problem, n=0, labels=labels, backend="cpu")
     d, tumour = result.solution.displacement, labels == 2
-    (row,) = result.solution.measure(2 * tumour, uncertainty=result)[1:]
+    (row,) = measure(result.solution, 2 * tumour, uncertainty=result)[1:]
     covariance, free = posterior_covariance(problem, ElasticPrior(), SCALE)
     outward = d / np.maximum(np.linalg.norm(d, axis=-1, keepdims=True), 1e-9)
     weights = (outward * tumour[..., None] / tumour.sum()).ravel()[free]
@@ -87,13 +88,13 @@ def test_error_bars_of_other_labels_or_of_another_solution_are_refused():
     result = uncertainty(problem, n=0, labels=labels, backend="cpu")
     other = solve(Problem(observed=move, confidence=c, stiffness=np.ones((10, 10))), backend="cpu")
     with pytest.raises(ProblemError, match="another mean displacement of the label 1"):
-        other.measure(labels, uncertainty=result)
+        measure(other, labels, uncertainty=result)
     with pytest.raises(ProblemError, match="has none of these labels"):
-        result.solution.measure(labels + 5, uncertainty=result)
+        measure(result.solution, labels + 5, uncertainty=result)
     with pytest.raises(ProblemError, match="n: is 0, so the standard deviations of patches"):
         result.least_sure()
     with pytest.raises(TypeError, match="uncertainty must be the result of"):
-        other.measure(labels, uncertainty=0.5)
+        measure(other, labels, uncertainty=0.5)
 
 
 def test_one_more_landmark_helps_most_at_the_least_sure_patch():
@@ -209,7 +210,7 @@ def test_a_study_gives_the_uncertainty_of_each_of_its_labels():
         result.solution.displacement, solve_study(study, backend="cpu").displacement
     )
     assert set(result.labels) == {1, 2}
-    rows = result.solution.measure(study.tissue.labels, uncertainty=result)
+    rows = measure(result.solution, study.tissue.labels, uncertainty=result)
     assert [row.mean_displacement_sd for row in rows] == [
         result.labels[1].along,
         result.labels[2].along,

@@ -8,6 +8,7 @@ import scipy
 
 from napari_hmrf import ArgumentError, solve
 from napari_hmrf.data import chest_phantom
+from napari_hmrf.fields import measure
 from napari_hmrf.samples.chest import ABDOMEN, HEART, LUNGS, RIBS, WALL
 
 
@@ -42,7 +43,7 @@ def test_a_breath_slides_the_lungs_along_the_ribs_without_folds(chest):
         assert min(down[row, at[1]], down[row, at[-2]]) > 3
         assert abs(down[row, [at[0] - 2, at[-1] + 2]]).max() < 1
     assert solution.count_folds() == 0
-    by_name = {row.label: row for row in solution.measure(chest.tissue_labels)}
+    by_name = {row.label: row for row in measure(solution, chest.tissue_labels)}
     assert by_name[LUNGS.label].size_change > 8
     rows = tuple(replace(row, slides=False) for row in chest.materials)
     stuck = solve(replace(chest, materials=rows).problem, backend="cpu")

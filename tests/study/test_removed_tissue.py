@@ -30,8 +30,8 @@ from napari_hmrf import (
     write_study,
 )
 from napari_hmrf.compute.thread import compute_thread
-from napari_hmrf.field.animation import Motion as Animation
 from napari_hmrf.loads import cavity, weight
+from napari_hmrf.results.animation import Motion as Animation
 from napari_hmrf.study.ground import build_problem
 
 SPACING = (0.5, 0.8)

@@ -27,9 +27,9 @@ from napari_hmrf import (
     write_study,
 )
 from napari_hmrf.data import phantom
-from napari_hmrf.field.held_forces import held_forces
 from napari_hmrf.io.tables import read_materials, read_preset, read_rules, write_preset
 from napari_hmrf.loads import Loads, growth, pressure, traction, weight
+from napari_hmrf.results.held_forces import held_forces
 from napari_hmrf.solver.caveats import shortfall
 from napari_hmrf.study.ground import Ground, build_problem
 from napari_hmrf.tissue.material_presets import Preset

@@ -64,7 +64,6 @@ from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.contributions import write_solution
 from napari_hmrf.data import phantom
 from napari_hmrf.errors import HmrfError, in_words
-from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.fields import read_field, write_field, write_movie
 from napari_hmrf.io.apply import FieldFile, apply_field, write_field_file
 from napari_hmrf.io.case import Case, solve_case
@@ -79,6 +78,7 @@ from napari_hmrf.io.uncertainty_files import write_uncertainty
 from napari_hmrf.landmarks import write_points
 from napari_hmrf.posterior import Uncertainty
 from napari_hmrf.random import RandomDeformation
+from napari_hmrf.results.measurement import Measurement
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.material_presets import PRESETS
 from napari_hmrf.tissue.tissue_names import materials_by_name

@@ -3,7 +3,7 @@
 A solve uses a backend in five steps:
 
 1. *Choice.* `job` describes the requirements of a solve, and `choice` chooses a device that meets
-   them. `compile_cache` compiles the loops for the processor and stores them on disk.
+   them. `compute.compile_cache` compiles the loops for the processor and stores them on disk.
 2. *Model.* A backend (protocol: `base`) copies the tissue to its device: `cpu` as arrays, `opengl`
    as textures or buffers. Until the loops are compiled, `arrays` does the work of the host in
    NumPy. The result is a `linear` model, or a `finite` model for large motion.
@@ -15,7 +15,7 @@ A solve uses a backend in five steps:
 5. *Result.* The optimizer reads the displacement back as planes. `earlier_results` stores
    properties of the system for later solves.
 
-All of these steps run on one thread (`thread`), because OpenGL and numba both require it.
+All of these steps run on the compute thread, because OpenGL and numba both require it.
 """
 
 from typing import Literal, get_args

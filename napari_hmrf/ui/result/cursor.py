@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from napari_hmrf.field.quantities import QUANTITIES, title_and_unit
-from napari_hmrf.field.tissue_point import Probe, at_point, rounded
 from napari_hmrf.layers.compat import sight_of
 from napari_hmrf.layers.field_layer import place_at
 from napari_hmrf.layers.line_of_sight import LineOfSight, cut_of
 from napari_hmrf.layers.metadata import tissue_recorded
 from napari_hmrf.layers.slice_view import View, directions_of
+from napari_hmrf.results.quantities import QUANTITIES, title_and_unit
+from napari_hmrf.results.tissue_point import Probe, at_point, rounded
 from napari_hmrf.tissue.boundary_rules import RIGID, stiffness_in_words
 from napari_hmrf.ui.result.moving_layers import MovingLayers
 from napari_hmrf.ui.result.result_messages import FULL

@@ -11,10 +11,7 @@ from typing import Any
 import numpy.typing as npt
 from psygnal import Signal
 
-from napari_hmrf.field.animation import MARKS, Moment, Motion
-from napari_hmrf.field.comparison import Comparison
 from napari_hmrf.field.deformation import magnitude
-from napari_hmrf.field.tissue_point import Points
 from napari_hmrf.field.units import as_seen
 from napari_hmrf.layers.field_layer import picture_of, source_of
 from napari_hmrf.layers.image_result import Part, Result
@@ -24,6 +21,9 @@ from napari_hmrf.layers.result_layers import Overlay, PlacedSolution
 from napari_hmrf.layers.thick_marks import half_widths, thickened
 from napari_hmrf.layers.viewer_layers import layers_of
 from napari_hmrf.posterior import Uncertainty
+from napari_hmrf.results.animation import MARKS, Moment, Motion
+from napari_hmrf.results.comparison import Comparison
+from napari_hmrf.results.tissue_point import Points
 from napari_hmrf.ui.events import repeating
 from napari_hmrf.ui.jobs import Jobs
 from napari_hmrf.ui.result.result_messages import FULL

@@ -14,19 +14,20 @@ from qtpy import QtWidgets
 from qtpy.QtCore import Qt
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.field.elastic_strain import strain_note
-from napari_hmrf.field.held_forces import HeldForce
-from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.io.apply import FieldFile, write_field_file
 from napari_hmrf.io.figures import write_result_pictures
 from napari_hmrf.io.moving_pictures import write_movie
 from napari_hmrf.io.tables import write_measurements
+from napari_hmrf.io.uncertainty_files import write_uncertainty
 from napari_hmrf.layers.field_layer import MOVED, can_move, picture_of, prepare_move, tissue_labels
 from napari_hmrf.layers.film_colours import film_overlay
 from napari_hmrf.layers.metadata import TISSUE, metadata_of, rows_of, tissue_recorded
 from napari_hmrf.layers.result_layers import LayerData
 from napari_hmrf.layers.slice_view import View, directions_of, plane_shown
 from napari_hmrf.layers.viewer_layers import layers_of
+from napari_hmrf.results.held_forces import HeldForce
+from napari_hmrf.results.measurement import Measurement, measure
+from napari_hmrf.solver.elastic_strain import strain_note
 from napari_hmrf.tissue.drawing import Landmark
 from napari_hmrf.ui.forms import add_entry, attempt, give_menu
 from napari_hmrf.ui.jobs import Jobs
@@ -124,7 +125,7 @@ class ResultMenu:
         names = {row.label: row.name for row in rows}
         if labels is None:
             labels, names = np.ones(answer.shape, int), {1: "tissue"}
-        return answer.solution.measure(labels, names=names, uncertainty=known)
+        return measure(answer.solution, labels, names=names, uncertainty=known)
 
     def save_pictures(self, folder: str | Path, own_folder: bool = False) -> None:
         """Write pictures into a folder or a new subfolder, then emit `saved`.
@@ -163,7 +164,7 @@ class ResultMenu:
         )
 
     def save_uncertainty(self, path: str | Path) -> None:
-        """Write images of the standard deviations of patches; see `Uncertainty.export`.
+        """Write images of the standard deviations of patches; see `write_uncertainty`.
 
         Raises
         ------
@@ -182,7 +183,7 @@ class ResultMenu:
             along = "The first image is ± along the motion, the others along each axis."
             self._show_message(f"{_saved(paths)} {along}")
 
-        self._jobs.submit(f"{path}", partial(found.export, path, placed=False), show)
+        self._jobs.submit(f"{path}", partial(write_uncertainty, path, found, placed=False), show)
 
     def save_film(self, path: str | Path) -> None:
         """Write a film of the image, or of the visible slice of a volume, moving back and forth.

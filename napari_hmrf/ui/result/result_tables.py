@@ -6,10 +6,10 @@ import math
 from collections.abc import Sequence
 
 from napari_hmrf.field.directions import Directions
-from napari_hmrf.field.held_forces import HeldForce
-from napari_hmrf.field.measurement import Measurement
 from napari_hmrf.field.units import as_seen
 from napari_hmrf.io.tables import has_stress, strain_of
+from napari_hmrf.results.held_forces import HeldForce
+from napari_hmrf.results.measurement import Measurement
 
 #: Share of the magnitude of a force below which a component is shown as 0.
 _NOISE = 1e-3

@@ -10,7 +10,6 @@ from typing import Any
 from psygnal import Signal
 
 from napari_hmrf.errors import naming
-from napari_hmrf.field.comparison import Comparison, compare
 from napari_hmrf.layers.compat import camera_of, scale_bar_of
 from napari_hmrf.layers.field_layer import can_be_source, field_of, result_of, source_of
 from napari_hmrf.layers.image_result import Result, ResultLayers
@@ -19,6 +18,7 @@ from napari_hmrf.layers.result_layers import Name, Overlay, PlacedSolution, over
 from napari_hmrf.layers.slice_view import directions_of
 from napari_hmrf.layers.viewer_layers import layer_painted, put_brush_away
 from napari_hmrf.posterior import Uncertainty
+from napari_hmrf.results.comparison import Comparison, compare
 from napari_hmrf.study.session import Session
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.events import EventConnections, single_shot

@@ -8,8 +8,8 @@ import pytest
 from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QToolButton
 
-from napari_hmrf.field.tissue_point import rounded
 from napari_hmrf.layers.compat import camera_of
+from napari_hmrf.results.tissue_point import rounded
 from tests.support.person import only
 from tests.support.pulling import pull_volume
 from tests.support.screen import Screen

@@ -9,12 +9,12 @@ from qtpy.QtWidgets import QFileDialog, QLabel, QTableWidget
 
 from napari_hmrf import HmrfError, warp
 from napari_hmrf.contributions import open_solution
-from napari_hmrf.field.elastic_strain import strain_note
 from napari_hmrf.field.inverse_field import inverse_displacement
-from napari_hmrf.field.measurement import Measurement, measure
 from napari_hmrf.field.moved_points import moved_points
 from napari_hmrf.field.units import as_seen
 from napari_hmrf.fields import read_field
+from napari_hmrf.results.measurement import Measurement, measure
+from napari_hmrf.solver.elastic_strain import strain_note
 from tests.support.screen import Screen
 
 MM = {"units": ("mm", "mm"), "scale": (0.5, 0.8)}

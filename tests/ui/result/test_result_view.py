@@ -16,13 +16,13 @@ from napari_hmrf import Problem, SeilerPrior, solve
 from napari_hmrf.contributions import open_solution
 from napari_hmrf.field.colormaps import reach_of
 from napari_hmrf.field.directions import Directions
-from napari_hmrf.field.quantities import coloured
 from napari_hmrf.field.strain import fold_mask, green_lagrange_strain
-from napari_hmrf.field.tissue_point import Probe, at_point
 from napari_hmrf.field.warp import warp
 from napari_hmrf.io.figures import jacobian_picture, magnitude_picture, strain_picture
 from napari_hmrf.layers.compat import camera_of, scale_bar_of
 from napari_hmrf.layers.metadata import METADATA, metadata_of
+from napari_hmrf.results.quantities import coloured
+from napari_hmrf.results.tissue_point import Probe, at_point
 from napari_hmrf.solver.optimizers import ICM
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.ui.result.cursor import stiffness_of

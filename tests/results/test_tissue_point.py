@@ -7,9 +7,9 @@ import pytest
 
 from napari_hmrf import Problem, SeilerPrior, solve
 from napari_hmrf.compute.thread import compute_thread
-from napari_hmrf.field.animation import Motion
-from napari_hmrf.field.tissue_point import Points
 from napari_hmrf.field.warp import inverse_map
+from napari_hmrf.results.animation import Motion
+from napari_hmrf.results.tissue_point import Points
 from napari_hmrf.solver.optimizers import ICM
 
 
@@ -92,7 +92,7 @@ def test_the_animation_caches_frames_within_a_memory_limit(solution, monkeypatch
 
     half = frame_at(0.5)
     assert motion.cached(0.5) is half
-    monkeypatch.setattr("napari_hmrf.field.animation._KEPT", 2 * half.nbytes)
+    monkeypatch.setattr("napari_hmrf.results.animation._KEPT", 2 * half.nbytes)
     assert motion.finest == 0.5, "two frames should fit into the cache"
     frame_at(0.6)
     frame_at(0.7)

@@ -13,7 +13,7 @@ from napari_hmrf.field.directions import Directions
 from napari_hmrf.field.followers import followers_of
 from napari_hmrf.field.inverse_point import farthest_of, inverse_point
 from napari_hmrf.field.moved_points import moved_points
-from napari_hmrf.field.quantities import area_change, values_of
+from napari_hmrf.results.quantities import area_change, values_of
 from napari_hmrf.solver.solution import Solution
 
 #: Remark after the area change at a fold, where the displayed value is the smallest determinant of

@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from napari_hmrf.field.deformation import rmsd
 from napari_hmrf.field.frame import Frame
-from napari_hmrf.field.observation import PixelField
 from napari_hmrf.field.units import as_seen
+from napari_hmrf.results.observation import PixelField
 from napari_hmrf.solver.solution import Solution
 
 

@@ -24,8 +24,8 @@ from napari_hmrf import (
     write_study,
 )
 from napari_hmrf.cli import main
-from napari_hmrf.field.measurement import measure
 from napari_hmrf.fields import equivalent_strain, write_movie
+from napari_hmrf.results.measurement import measure
 from napari_hmrf.solver.solution import Provenance, Solution
 
 SHAPE = (40, 40)

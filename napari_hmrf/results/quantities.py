@@ -10,10 +10,10 @@ import numpy.typing as npt
 
 from napari_hmrf.field.colormaps import SMALLEST, area_limits, reach_of
 from napari_hmrf.field.deformation import FloatArray, determinant_or_fold
-from napari_hmrf.field.elastic_strain import strain_kind, values_of_strain
 from napari_hmrf.field.strain import equivalent_strain, magnitude, principal_strains
-from napari_hmrf.field.stress import hydrostatic_pressure, stress_values, von_mises_stress
+from napari_hmrf.solver.elastic_strain import strain_kind, values_of_strain
 from napari_hmrf.solver.solution import Solution
+from napari_hmrf.solver.stress import hydrostatic_pressure, stress_values, von_mises_stress
 
 Quantity = Literal[
     "magnitude",

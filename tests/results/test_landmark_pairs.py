@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from napari_hmrf.field.landmark_pairs import LandmarkPairs
+from napari_hmrf.results.landmark_pairs import LandmarkPairs
 from napari_hmrf.solver.solution import Provenance, Solution
 
 SPACING = (0.5, 2.0)

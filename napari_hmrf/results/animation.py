@@ -11,16 +11,16 @@ import numpy.typing as npt
 
 from napari_hmrf.field.deformation import deformation_grid, pixels_between
 from napari_hmrf.field.live_warp import Picture, Warper
-from napari_hmrf.field.quantities import (
+from napari_hmrf.field.resample import emptiness, without_removed
+from napari_hmrf.field.strain import fold_mask
+from napari_hmrf.field.warp import inverse_map_and_overlaps
+from napari_hmrf.results.quantities import (
     Quantity,
     neutral_value,
     values_of,
     within,
     without_folds,
 )
-from napari_hmrf.field.resample import emptiness, without_removed
-from napari_hmrf.field.strain import fold_mask
-from napari_hmrf.field.warp import inverse_map_and_overlaps
 from napari_hmrf.solver.solution import Solution
 
 #: Kinds of sites that can be marked: folded sites, and sites that overlap other tissue.

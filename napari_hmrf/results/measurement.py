@@ -12,13 +12,13 @@ import numpy.typing as npt
 from napari_hmrf.arguments import is_whole, refuse_unless, require_kind
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.deformation import FloatArray, determinant, jacobian_determinant
-from napari_hmrf.field.elastic_strain import StrainKind, strain_kind, values_of_strain
 from napari_hmrf.field.parts import Sites, in_one_part
 from napari_hmrf.field.strain import equivalent_strain, fold_mask, magnitude
-from napari_hmrf.field.stress import hydrostatic_pressure, stress_values, von_mises_stress
 from napari_hmrf.field.warp import Float64Array, numbered_sites
 from napari_hmrf.real_arrays import as_numbers, grid_in_words, whole_numbers
+from napari_hmrf.solver.elastic_strain import StrainKind, strain_kind, values_of_strain
 from napari_hmrf.solver.solution import Solution
+from napari_hmrf.solver.stress import hydrostatic_pressure, stress_values, von_mises_stress
 
 # Number of planes of cells processed together.
 _SLAB = 8

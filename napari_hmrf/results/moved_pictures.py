@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.field.live_warp import Picture, Warper
-from napari_hmrf.field.resample import emptiness, mask_on_finer_grid, without_removed
+from napari_hmrf.field.resample import emptiness, without_removed
 from napari_hmrf.field.volume_preview import CutPlane, VolumePreview
+from napari_hmrf.results.finer_grid import mask_on_finer_grid
 from napari_hmrf.solver.solution import Solution
 
 Array = npt.NDArray[Any]

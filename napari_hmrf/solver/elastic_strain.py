@@ -45,8 +45,7 @@ from napari_hmrf.field.strain import (
 )
 from napari_hmrf.field.warp import BoolArray, Float64Array
 from napari_hmrf.real_arrays import FloatArray
-from napari_hmrf.solver.elasticity import Elasticity
-from napari_hmrf.solver.solution import Solution
+from napari_hmrf.solver.elasticity import Elasticity, MovedTissue
 
 #: Kinds of strain: elastic strain; total strain within an image; total strain of a volume.
 StrainKind = Literal["elastic", "in-plane", "total"]
@@ -55,14 +54,14 @@ StrainKind = Literal["elastic", "in-plane", "total"]
 StrainValue = Callable[[Float64Array, npt.ArrayLike], npt.NDArray[np.floating]]
 
 
-def strain_kind(solution: Solution) -> StrainKind:
+def strain_kind(solution: MovedTissue) -> StrainKind:
     """Return the kind of strain that `measure` and the colour overlays use for a solution."""
     if solution.elasticity is not None:
         return "elastic"
     return "in-plane" if solution.tissue.ndim == 2 else "total"
 
 
-def strain_note(solution: Solution) -> str:
+def strain_note(solution: MovedTissue) -> str:
     """Explain in a clause why the elastic strain of a solution is unknown; "" if it is known."""
     if solution.elasticity is not None:
         return ""
@@ -75,7 +74,7 @@ def strain_note(solution: Solution) -> str:
     return f"no model of the tissue is known: {total}"
 
 
-def elastic_strain(solution: Solution) -> FloatArray:
+def elastic_strain(solution: MovedTissue) -> FloatArray:
     """Return the elastic strain tensor of a solution in all three dimensions.
 
     Parameters
@@ -109,7 +108,9 @@ def elastic_strain(solution: Solution) -> FloatArray:
     return on_sites(strain, mask)
 
 
-def values_of_strain(solution: Solution, value: StrainValue, fraction: float = 1.0) -> FloatArray:
+def values_of_strain(
+    solution: MovedTissue, value: StrainValue, fraction: float = 1.0
+) -> FloatArray:
     """Compute a scalar from the strain at each site; `strain_kind` gives the kind of strain.
 
     Parameters
@@ -134,7 +135,7 @@ def values_of_strain(solution: Solution, value: StrainValue, fraction: float = 1
 
 
 def _total(
-    solution: Solution, sites: slice, fraction: float
+    solution: MovedTissue, sites: slice, fraction: float
 ) -> tuple[Float64Array, npt.ArrayLike, BoolArray]:
     """Compute the total Green-Lagrange strain in a range of the first axis.
 
@@ -145,7 +146,7 @@ def _total(
     return green_lagrange(gradient), 0.0, numbers.astype(bool)
 
 
-def _gradient(solution: Solution, sites: slice, fraction: float) -> tuple[Float64Array, Sites]:
+def _gradient(solution: MovedTissue, sites: slice, fraction: float) -> tuple[Float64Array, Sites]:
     """Return the `displacement_gradient` in a range of the first axis."""
     d = solution.displacement[sites] * np.float32(fraction)
     parts = None if solution.parts is None else solution.parts[sites]
@@ -170,7 +171,7 @@ def _within(
 
 
 def _elastic(
-    solution: Solution, sites: slice, fraction: float
+    solution: MovedTissue, sites: slice, fraction: float
 ) -> tuple[Float64Array, npt.ArrayLike, BoolArray]:
     """Compute the elastic strain in a range of the first axis; 0 in rigid tissue.
 
@@ -188,7 +189,7 @@ def _elastic(
 
 
 def _of_model(
-    solution: Solution, elasticity: Elasticity, sites: slice, fraction: float
+    solution: MovedTissue, elasticity: Elasticity, sites: slice, fraction: float
 ) -> tuple[Float64Array, npt.ArrayLike, BoolArray]:
     """Compute the strain as in `_elastic`, without setting it to 0 in rigid tissue."""
     gradient, numbers = _gradient(solution, sites, fraction)

@@ -31,13 +31,12 @@ from napari_hmrf.arguments import is_one_of, refuse_unless
 from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.deformation import FloatArray
-from napari_hmrf.field.elastic_strain import growth_at, strain_of_gradient
 from napari_hmrf.field.neighbours import around_sites, of_corners, pairs
 from napari_hmrf.field.parts import in_one_part, part_numbers
 from napari_hmrf.field.warp import BoolArray, Float64Array
 from napari_hmrf.real_arrays import as_numbers
-from napari_hmrf.solver.elasticity import Elasticity
-from napari_hmrf.solver.solution import Solution
+from napari_hmrf.solver.elastic_strain import growth_at, strain_of_gradient
+from napari_hmrf.solver.elasticity import Elasticity, MovedTissue
 
 Place = Literal["sites", "elements"]
 #: Number of planes of a volume that are processed together, to limit memory.
@@ -94,7 +93,7 @@ def pressure_of(stress: Float64Array) -> Float64Array:
 
 
 def stress_values(
-    solution: Solution,
+    solution: MovedTissue,
     value: Callable[[Float64Array], npt.NDArray[np.floating]] = np.asarray,
     *,
     at: Place = "sites",
@@ -151,7 +150,7 @@ def stress_values(
 
 
 def _of_elements(
-    solution: Solution, elasticity: Elasticity, planes: slice, fraction: float
+    solution: MovedTissue, elasticity: Elasticity, planes: slice, fraction: float
 ) -> tuple[Float64Array, BoolArray]:
     """Return the stress of each element in a range of the first axis, and the deformable elements.
 

@@ -1,0 +1,1 @@
+"""What is derived from a solution: measurements, quantities, motions of points and pictures."""
