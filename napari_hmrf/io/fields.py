@@ -24,7 +24,7 @@ from napari_hmrf.atomic_write import write_whole
 from napari_hmrf.errors import ArgumentError, FileFormatError, ProblemError
 from napari_hmrf.field.displacement_field import Field
 from napari_hmrf.field.inverse_field import inverse_displacement
-from napari_hmrf.field.units import has_same_spacing, is_length, unit_factor
+from napari_hmrf.field.units import UNKNOWN_UNITS, has_same_spacing, is_length, unit_factor
 from napari_hmrf.field.warp import as_field
 from napari_hmrf.geometry import Geometry, is_orthogonal
 from napari_hmrf.io.decoded import Decoded, Unreadable
@@ -308,8 +308,9 @@ def placed(solution: Solution) -> tuple[npt.NDArray[np.floating], Geometry]:
     """
     geometry, shape = geometry_of(solution), solution.tissue.shape
     sizes = geometry.spacing[-len(shape) :]
-    pixels = shape, solution.spacing, solution.unit
-    if solution.frame and not has_same_spacing(*pixels, sizes, geometry.unit):
+    # A solution without a unit has that of its frame.
+    unit = solution.place.unit if solution.unit in UNKNOWN_UNITS else solution.unit
+    if solution.frame and not has_same_spacing(shape, solution.spacing, unit, sizes, geometry.unit):
         raise ProblemError(
             "displacement",
             f"has pixels of {grid_in_words(solution.spacing)} {solution.unit}".rstrip()
