@@ -198,7 +198,7 @@ class Apply(Resampling, Writing):
     labels : bool
         Treat the images as labels, without interpolation.
     out : Path
-        Folder for the deformed files, which have the same names.
+        Folder for the deformed files, which have the same names; DICOM scans become .nrrd files.
 
     Examples
     --------

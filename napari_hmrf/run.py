@@ -26,7 +26,7 @@ from napari_hmrf.io.case import energy_of, solve_case
 from napari_hmrf.io.case_options import Case, LabelledImage
 from napari_hmrf.io.case_tables import read_cases
 from napari_hmrf.io.fit_files import fit_file
-from napari_hmrf.io.images import read_image, result_suffix, stem_of, write_image
+from napari_hmrf.io.images import is_scan, read_image, result_suffix, stem_of, write_image
 from napari_hmrf.io.moving_pictures import write_movie
 from napari_hmrf.io.overwriting import refuse_overwriting
 from napari_hmrf.io.registration_files import register_files
@@ -123,7 +123,7 @@ def _export(options: commands.Export) -> int:
 
 @run.register
 def _apply(options: commands.Apply) -> int:
-    moved = [options.out / file.name for file in options.files]
+    moved = [options.out / _moved_name(file) for file in options.files]
     _refuse_duplicates(moved)
     if options.out.is_dir():
         # If source and target are the same file, `apply_field` raises a more specific error.
@@ -139,14 +139,10 @@ def _apply(options: commands.Apply) -> int:
         _report("compiling the loops that warp volumes, once per machine ...")
     options.out.mkdir(parents=True, exist_ok=True)
     failed = 0
-    for file in options.files:
+    for file, target in zip(options.files, moved, strict=True):
         try:
             written = apply_field(
-                field,
-                file,
-                options.out / file.name,
-                labels=options.labels,
-                resample=options.resample,
+                field, file, target, labels=options.labels, resample=options.resample
             )
             print(f"written: {written.path}", flush=True)
             if written.note:
@@ -155,6 +151,11 @@ def _apply(options: commands.Apply) -> int:
             failed += 1
             _report(f"napari-hmrf: {_in_shell(in_words(error))}")
     return int(failed > 0)
+
+
+def _moved_name(file: Path) -> str:
+    """Return the name of a moved file: its own, or with .nrrd for scans that are not written."""
+    return f"{stem_of(file)}{result_suffix(file)}" if is_scan(file) else file.name
 
 
 def _refuse_duplicates(targets: Sequence[Path]) -> None:

@@ -356,6 +356,7 @@ def test_the_commands_resample_on_request(tmp_path, capsys):
     for command in (
         ["solve", scan, *ends, *others],
         ["apply", study, labels, "--labels", *others],
+        ["apply", study, scan, *others],
         ["measure", study, "--labels", labels, *others[:-1], out / "table.csv"],
         ["resample", scan, *others[1:]],
         ["register", scan, scan, *others[:-1], tmp_path / "found"],

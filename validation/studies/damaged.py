@@ -549,11 +549,11 @@ def _read_versions(name: str, files: int, seed: int) -> Findings:
     outcomes, longest, peak = Counter[str](), 0.0, 0
     memory = MemoryGrowth(_WARM_UP)
     with tempfile.TemporaryDirectory() as folder:
-        whole = Path(folder, f"whole{kind.suffix}")
-        kind.make(whole)
-        original = kind.kept.load(whole)
-        for number, version in enumerate(kind.versions(whole.read_bytes(), files, seed)):
-            path = Path(folder, f"{number}{kind.suffix}")
+        # Each version replaces the file, beside which the pixels may be in another file.
+        path = Path(folder, f"file{kind.suffix}")
+        kind.make(path)
+        original = kind.kept.load(path)
+        for number, version in enumerate(kind.versions(path.read_bytes(), files, seed)):
             path.write_bytes(version.content)
             what = f"{kind.suffix} {number} ({version.kind}, {len(version.content)} bytes)"
             look_at = partial(look, path, version, original, kind.kept)
@@ -568,7 +568,6 @@ def _read_versions(name: str, files: int, seed: int) -> Findings:
                     look_at()
                 peak = max(peak, tracemalloc.get_traced_memory()[1])
                 tracemalloc.stop()
-            path.unlink()
             memory.measure()
             outcomes[outcome] += 1
     counts = [outcomes[each] for each in _OUTCOMES]
