@@ -144,9 +144,10 @@ def tilted_step(
     Raises
     ------
     Unreadable
-        If slices share a position, or are missing.
+        If slices share a position, are missing, or are not in one line.
     """
-    depths = np.asarray(positions) @ normal
+    at = np.asarray(positions, float)
+    depths = at @ normal
     steps = np.diff(depths)
     step = float(np.sort(np.abs(steps))[len(steps) // 2])
     doubled = int((np.abs(steps) <= _OFF * step).sum())
@@ -155,17 +156,25 @@ def tilted_step(
             f"{doubled} of {len(depths)} slices are at the position of another slice, so there is "
             "more than one volume. Keep the files of one volume"
         )
-    regular = np.linspace(depths[0], depths[-1], len(depths))
-    if np.abs(depths - regular).max() > _OFF * abs(regular[1] - regular[0]):
+    off = at - np.linspace(at[0], at[-1], len(at))
+    off_depths = off @ normal
+    if np.abs(off_depths).max() > _OFF * abs(depths[-1] - depths[0]) / len(steps):
         far = int(np.abs(np.abs(steps) - step).argmax())
         raise Unreadable(
             f"the distances of its slices differ: most are {step:.4g} mm apart, but {names[far]} "
             f"and {names[far + 1]} are {abs(steps[far]):.4g} mm apart. Add the missing slices, or "
             "resample the volume to equal distances"
         )
-    across = np.subtract(positions[-1], positions[0])
+    aside = np.linalg.norm(off - np.outer(off_depths, np.asarray(normal)), axis=1)
+    if aside.max() > _OFF * min(spacing[:2]):
+        far = int(aside.argmax())
+        raise Unreadable(
+            f"its slices are not in one line: {names[far]} is {aside[far]:.4g} mm beside the line "
+            "from the first to the last. Give the slices of one acquisition"
+        )
+    across = at[-1] - at[0]
     shift = float(np.linalg.norm(across - (across @ normal) * np.asarray(normal)))
-    return across / (len(positions) - 1) if shift > _OFF * min(spacing[:2]) else None
+    return across / len(steps) if shift > _OFF * min(spacing[:2]) else None
 
 
 def tilt_of_frames(source: Path) -> Step | None:

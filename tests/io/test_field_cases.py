@@ -191,6 +191,11 @@ REFUSED = {
         lambda p: write_series(p, [(0, n / 2, 2 * n) for n in range(5)]),
         "tilt of 14",
     ),
+    "a shifted slice": (
+        "ct",
+        lambda p: write_series(p, [(int(n == 2), 0, 2 * n) for n in range(5)]),
+        "s2.dcm is 1 mm beside",
+    ),
     "two volumes": ("ct", lambda p: write_series(p, along_z(0, 2, 4, 0, 2, 4)), "than one volume"),
     "a scout": ("ct", write_with_scout, "s9.dcm"),
     "a truncated slice": ("ct", lambda p: write_truncated(p, 3), "s3.dcm is damaged"),
