@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import re
 import zlib
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -146,12 +147,20 @@ def read_series(folder: Path) -> Decoded:
     """
     sitk = _simpleitk()
     reader = sitk.ImageSeriesReader()
-    series = reader.GetGDCMSeriesIDs(str(folder))
-    if len(series) != 1:
-        content = f"{len(series)} series" if series else "no DICOM image"
-        raise Unreadable(f"the folder contains {content}. Give a folder with one series")
-    names = reader.GetGDCMSeriesFileNames(str(folder), series[0])
-    refuse_damaged(folder, series[0], names)
+    series = {
+        each: reader.GetGDCMSeriesFileNames(str(folder), each)
+        for each in reader.GetGDCMSeriesIDs(str(folder))
+    }
+    if not series:
+        raise Unreadable("the folder contains no DICOM image. Give a folder with one series")
+    if len(series) > 1:
+        content = ", ".join(_series_in_words(names) for names in series.values())
+        raise Unreadable(
+            f"the folder contains {len(series)} series ({content}). Give a folder with one series; "
+            "dcm2niix separates them"
+        )
+    [(identifier, names)] = series.items()
+    refuse_damaged(folder, identifier, names)
     if len(names) == 1:
         return read_pixels(Path(names[0]), ".dcm")
     slices, step = ordered([*map(_slice, names)])
@@ -213,6 +222,11 @@ def write(path: Path, image: Decoded, *, transform: bool) -> None:
         sitk.WriteTransform(sitk.DisplacementFieldTransform(made), str(path))
     else:
         sitk.WriteImage(made, str(path), useCompression=True)
+
+
+def _series_in_words(names: Sequence[str]) -> str:
+    first = min(Path(name).name for name in names)
+    return first if len(names) == 1 else f"{first} and {len(names) - 1} more"
 
 
 def _itk_image(image: Decoded) -> Any:

@@ -44,12 +44,12 @@ nibabel = pytest.importorskip("nibabel")
 AXIAL, SAGITTAL = (1, 0, 0, 0, 1, 0), (0, 1, 0, 0, 0, -1)
 
 
-def write_slice(path, position, direction=AXIAL, slope=b"", value=3):
+def write_slice(path, position, direction=AXIAL, slope=b"", value=3, series="1.2.3"):
     """Write a DICOM file with one slice of a series."""
     image = sitk.GetImageFromArray(np.full((6, 7), value, np.int16))
     along = {"0020|0032": position, "0020|0037": direction, "0028|0030": (1, 1)}
     texts = {key: "\\".join(map(str, values)) for key, values in along.items()}
-    texts |= {"0008|0060": "CT", "0020|000e": "1.2.3", "0020|000d": "1.2", "0020|0052": "1.2.4"}
+    texts |= {"0008|0060": "CT", "0020|000e": series, "0020|000d": "1.2", "0020|0052": "1.2.4"}
     texts |= {"0008|0018": f"1.2.5.{path.stem[1:]}", "0020|0013": path.stem[1:]}
     writer = sitk.ImageFileWriter()
     writer.KeepOriginalImageUIDOn()
@@ -151,6 +151,11 @@ def write_with_scout(folder):
     write_slice(folder / "s9.dcm", (0, 0, 0), SAGITTAL)
 
 
+def write_two_series(folder):
+    write_series(folder, along_z(0, 2, 4, 6))
+    write_slice(folder / "s9.dcm", (0, 0, 0), SAGITTAL, series="1.2.6")
+
+
 def write_truncated(folder, number):
     write_series(folder, along_z(0, 2, 4, 6, 8, 10))
     file = folder / f"s{number}.dcm"
@@ -198,6 +203,7 @@ REFUSED = {
     ),
     "two volumes": ("ct", lambda p: write_series(p, along_z(0, 2, 4, 0, 2, 4)), "than one volume"),
     "a scout": ("ct", write_with_scout, "s9.dcm"),
+    "two series": ("ct", write_two_series, "2 series (s0.dcm and 3 more, s9.dcm)"),
     "a truncated slice": ("ct", lambda p: write_truncated(p, 3), "s3.dcm is damaged"),
     "a truncated last slice": ("ct", lambda p: write_truncated(p, 5), "s5.dcm is damaged"),
     "no pixel size": ("a.dcm", lambda p: write_without_size(p), "size of its pixels"),
