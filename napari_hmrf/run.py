@@ -123,7 +123,7 @@ def _export(options: commands.Export) -> int:
 
 @run.register
 def _apply(options: commands.Apply) -> int:
-    moved = [options.out / _moved_name(file) for file in options.files]
+    moved = [options.out / _written_name(file) for file in options.files]
     _refuse_duplicates(moved)
     if options.out.is_dir():
         # If source and target are the same file, `apply_field` raises a more specific error.
@@ -153,8 +153,8 @@ def _apply(options: commands.Apply) -> int:
     return int(failed > 0)
 
 
-def _moved_name(file: Path) -> str:
-    """Return the name of a moved file: its own, or with .nrrd for scans that are not written."""
+def _written_name(file: Path) -> str:
+    """Return the name of a new version of a file: its own, but .nrrd for scans like DICOM."""
     return f"{stem_of(file)}{result_suffix(file)}" if is_scan(file) else file.name
 
 
@@ -331,7 +331,7 @@ def _register(options: commands.Register) -> int:
 
 @run.register
 def _resample(options: commands.Resample) -> int:
-    targets = [options.out / f"{stem_of(each)}{result_suffix(each)}" for each in options.files]
+    targets = [options.out / _written_name(file) for file in options.files]
     _refuse_duplicates(targets)
     refuse_overwriting(targets, overwrite=options.force)
     for file, target in zip(options.files, targets, strict=True):

@@ -250,15 +250,8 @@ def _geometry(
 ) -> Geometry:
     """Return the grid of an image in patient coordinates.
 
-    Parameters
-    ----------
-    affines : sequence
-        qform and sform, each with its code; None if the code is 0.
-    zooms : ndarray, shape (3,)
-        Size of a voxel along x, y and z.
-    shape : tuple of int
-    millimetres : float
-        Unit of length, in mm.
+    `affines` are the qform and the sform, each with its code, and None if the code is 0; `zooms`
+    are the sizes of a voxel along x, y and z.
     """
     (qform, _), (sform, code) = affines
     if qform is not None and sform is not None:
