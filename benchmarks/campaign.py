@@ -329,13 +329,26 @@ def _beside(
     return Verdict(outcome, kinds, error, of.error, Multigrid().tolerance, note=note)
 
 
+# Inputs beside sliding parts, for `tissue_with_parts`.
+_BESIDE_PARTS: dict[str, dict[str, bool]] = {
+    "nothing else": {},
+    "landmarks": {"has_landmarks": True},
+    "a drift": {"has_drift": True},
+    "rigid bodies": {"has_bodies": True},
+    "rigid bodies and a drift": {"has_bodies": True, "has_drift": True},
+}
+
+
 def judge_sliding(_: int, number: int, backend: str = "cpu") -> Iterator[Verdict]:
     """Compare larger sliding parts, with growth, forces and a precision, with sparse solutions.
 
-    Faults are those of `judge_parts`, and all refusals.
+    Every fifty problems have other inputs beside the parts. Faults are those of `judge_parts`, and
+    all refusals.
     """
-    problem, prior = tissue_with_parts(number)
-    kinds = {"grid": " x ".join(map(str, problem.shape)), "parts": str(2 + number % 3)}
+    beside, inputs = list(_BESIDE_PARTS.items())[number // 50 % len(_BESIDE_PARTS)]
+    problem, prior = tissue_with_parts(number, **inputs)
+    kinds = {"beside": beside, "grid": " x ".join(map(str, problem.shape))}
+    kinds["parts"] = str(2 + number % 3)
     try:
         found = solve(problem, prior, backend=backend)
     except (ProblemError, ConvergenceError) as refusal:
@@ -584,7 +597,7 @@ CAMPAIGNS = {
     "images": Campaign(judge_image, 5000),
     "volumes": Campaign(judge_volume, 600),
     "parts": Campaign(judge_parts, 2500),
-    "sliding": Campaign(judge_sliding, 24),
+    "sliding": Campaign(judge_sliding, 50 * len(_BESIDE_PARTS)),
     "data": Campaign(judge_data, 100),
     "gaps": Campaign(judge_gaps, 4000),
     "large-gaps": Campaign(judge_large_gaps, 1000),

@@ -512,7 +512,13 @@ class State(NamedTuple):
 
 
 def tissue_with_parts(
-    number: int, *, is_loaded: bool | None = None, has_hole: bool = False
+    number: int,
+    *,
+    is_loaded: bool | None = None,
+    has_hole: bool = False,
+    has_bodies: bool = False,
+    has_landmarks: bool = False,
+    has_drift: bool = False,
 ) -> State:
     """Return two to four parts that slide along each other, with a precision.
 
@@ -524,6 +530,10 @@ def tissue_with_parts(
         True for growth and forces; by default, every third problem has them.
     has_hole : bool
         True for a hole in the tissue.
+    has_bodies : bool
+        True for rigid bodies, in which nothing is prescribed; every other one is at an interface.
+    has_landmarks, has_drift : bool
+        True for twelve uncertain landmarks, and for a drift that is estimated with them.
     """
     dice = dice_of(number)
     grid, spacing = _GRIDS_OF_PARTS[number % 4]
@@ -535,18 +545,37 @@ def tissue_with_parts(
     m = (10.0 ** dice.uniform(0, 2, count))[labels] * dice.uniform(1, 2, grid)
     if has_hole:
         m[(slice(6, 9),) * axes] = 0
+    precision = dice.random(grid) * (dice.random(grid) < 0.1)
+    poisson = dice.uniform(0.2, 0.45, grid) if number % 2 else 0.3
+    marks = None
+    if has_bodies:
+        at_interface = ndi.maximum_filter(labels, 3) > ndi.minimum_filter(labels, 3)
+        middles = [
+            dice.permutation(np.argwhere((m > 0) & (at_interface == bool(body % 2))))[0]
+            for body in range(2)
+        ]
+        away = np.stack([np.linalg.norm(offsets(grid, middle), axis=0) for middle in middles])
+        c[away.min(axis=0) < 5.5] = False
+        m[(away.min(axis=0) < 2.5) & (m > 0)] = np.inf
     # The references leave out the forces on tissue in no element, which its neighbours take.
-    loads = Loads(force=force * sites_of_elements(m > 0)[..., None], growth=strain)
+    loads = Loads(force=force * sites_of_elements(m > 0)[..., None], growth=strain * np.isfinite(m))
+    if has_landmarks or has_drift:
+        elements = dice.permutation(np.argwhere(in_elements(m)))[:12]
+        points = elements + dice.random(elements.shape)
+        targets = points + dice.normal(size=points.shape)
+        sd = 10 ** dice.uniform(-2, 0.5, len(points))
+        marks = Landmarks(points, targets, sd=sd, scale=StrainScale(0.1), drift=has_drift)
     problem = Problem(
         observed=y,
         confidence=c.astype(float),
         stiffness=m,
         spacing=spacing,
         loads=loads if (number % 3 == 0 if is_loaded is None else is_loaded) else None,
-        precision=dice.random(grid) * (dice.random(grid) < 0.1),
+        precision=precision,
+        landmarks=marks,
         sliding=SlidingParts(labels),
     )
-    return State(problem, ElasticPrior(dice.uniform(0.2, 0.45, grid) if number % 2 else 0.3))
+    return State(problem, ElasticPrior(poisson))
 
 
 def random_tensors(

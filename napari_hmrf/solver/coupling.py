@@ -80,7 +80,11 @@ class Coupling:
         ----------
         displacement : ndarray, shape of the unfolded grid, with the component as the last axis
         """
-        return float((self.strength * self._gaps(displacement) ** 2).sum()) / 2
+        return self.product(displacement, displacement) / 2
+
+    def product(self, one: npt.NDArray[Any], other: npt.NDArray[Any]) -> float:
+        """Return the bilinear form of the energy for two displacements."""
+        return float((self.strength * self._gaps(one) * self._gaps(other)).sum())
 
     def forces(self, displacement: npt.NDArray[Any]) -> Float64Array:
         """Return the gradient of the energy with respect to the displacement."""

@@ -72,18 +72,39 @@ class PointTerm(NamedTuple):
             return None
         grid = problem.shape
         elements, _ = corners_of(landmarks.points, grid)
-        padded = tuple(size + 4 for size in grid)
-        corners, shares = [], []
-        for sites, share in corner_shares(landmarks.points, grid):
-            corners.append(np.ravel_multi_index(tuple(at + 2 for at in sites), padded))
-            shares.append(share)
+        shares = [share for _, share in corner_shares(landmarks.points, grid)]
         return cls(
             elements,
-            np.stack(corners, axis=1),
+            _corners_in_planes(elements, grid),
             np.stack(shares, axis=1),
             landmarks.precision(problem.stiffness, problem.spacing).T / unit,
             landmarks.displacement(problem.spacing).T / problem.unit,
         )
+
+    def on_grid(
+        self,
+        some: npt.NDArray[Any],
+        moves: npt.NDArray[np.intp],
+        grid: tuple[int, ...],
+        unit: float,
+    ) -> PointTerm | None:
+        """Return some of the landmarks on another grid; None if there are none.
+
+        Parameters
+        ----------
+        some : ndarray of bool, shape (n,)
+        moves : ndarray of int, shape (axes,) or (n, axes)
+            Index of each element on the other grid, less its present index.
+        grid : tuple of int
+        unit : float
+            Precision of 1 on the other grid, in the present units.
+        """
+        if not some.any():
+            return None
+        elements = (self.elements + moves)[some]
+        corners = _corners_in_planes(elements, grid)
+        weights = self.weights[:, some] / unit
+        return PointTerm(elements, corners, self.shares[some], weights, self.observed[:, some])
 
     def at_points(self, d: npt.NDArray[np.floating]) -> Float64Array:
         """Return H d, the displacement at the points, shape (axes, n)."""
@@ -108,6 +129,15 @@ class PointTerm(NamedTuple):
         for total, weights in zip(sums, self.weights, strict=True):
             np.add.at(total, place, weights[:, None] * self.shares)
         return at, sums
+
+
+def _corners_in_planes(
+    elements: npt.NDArray[np.intp], grid: tuple[int, ...]
+) -> npt.NDArray[np.intp]:
+    """Return the indices of the corners of elements, shape (n, 2^axes), in a flattened plane."""
+    corners = elements[:, None] + 2 + np.array(list(np.ndindex(*(2,) * len(grid))))
+    padded = tuple(size + 4 for size in grid)
+    return np.asarray(np.ravel_multi_index(tuple(np.moveaxis(corners, -1, 0)), padded))
 
 
 class DataTerm(NamedTuple):

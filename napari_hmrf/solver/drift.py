@@ -237,6 +237,7 @@ class _Responses:
                 matrix[j, k] = _dot(fields[j], exact) / problem.unit - float((other * moment).sum())
                 matrix[j, k] += _product_of_data(problem, prior, fields[j], fields[k])
                 matrix[j, k] += _product_of_points(problem, prior, at_points[j], at_points[k])
+                matrix[j, k] += _product_of_parts(problem, prior, fields[j], fields[k])
             forces.append(exact.astype(np.float32))
         errors = [0.0 if each.convergence is None else each.convergence.error for each in solved]
         matrix = (matrix + matrix.T) / 2
@@ -257,6 +258,7 @@ class _Responses:
             and np.array_equal(own.stiffness, problem.stiffness)
             and np.array_equal(own.known, problem.known)
             and are_equal(own.precision, problem.precision)
+            and own.coupling == problem.coupling
         )
 
     @property
@@ -286,6 +288,7 @@ class _Responses:
             pulls[k] = _dot(field, forces) / problem.unit
             pulls[k] += _product_of_data(problem, prior, field, own, problem.observed)
             pulls[k] += _product_of_points(problem, prior, missing, self.at_points[k])
+            pulls[k] += _product_of_parts(problem, prior, field, own)
             if load is not None:
                 pulls[k] += float((unit * moment).sum()) - _dot(own, load.forces) / problem.unit
         return pulls
@@ -413,6 +416,18 @@ def _product_of_data(
         pull = np.einsum("...ij,...j->...i", problem.precision[sites], other[sites])
         total += float((far * pull).sum())
     return total / (prior.force_unit(problem) * problem.unit)
+
+
+def _product_of_parts(
+    problem: Problem,
+    prior: ElasticPrior,
+    one: npt.NDArray[np.floating],
+    other: npt.NDArray[np.floating],
+) -> float:
+    """Return the bilinear form of the coupling of sliding parts, in the units of the model."""
+    if problem.coupling is None:
+        return 0.0
+    return problem.coupling.product(one, other) / (prior.force_unit(problem) * problem.unit)
 
 
 def _amounts(matrix: Float64Array, pull: Float64Array, unit_of_energy: float) -> Float64Array:

@@ -75,19 +75,13 @@ class SlidingParts:
         Raises
         ------
         ProblemError
-            If the shape differs, some tissue is rigid, or all tissue has the same label.
+            If the shape differs, or all tissue has the same label.
         """
         if self.labels.shape != stiffness.shape:
             raise ProblemError(
                 "sliding",
                 f"has labels of shape {self.labels.shape}, but stiffness has shape "
                 f"{stiffness.shape}. Use the same pixel grid for both.",
-            )
-        if np.isinf(stiffness).any():
-            raise ProblemError(
-                "sliding",
-                "cannot be used if some tissue is rigid (stiffness inf). Give that tissue a finite "
-                "stiffness, such as a thousand times that of the tissue around it.",
             )
         of_tissue = self.labels[stiffness > 0]
         if len(of_tissue) and (of_tissue == of_tissue[0]).all():

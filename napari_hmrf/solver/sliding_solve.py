@@ -15,11 +15,14 @@ import scipy
 from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.neighbours import around_sites, in_elements
+from napari_hmrf.solver.drift import has_drift
 from napari_hmrf.solver.elasticity import Elasticity
+from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.optimizers import Multigrid, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
+from napari_hmrf.solver.uncertain_landmarks import corners_of
 from napari_hmrf.solver.unfolded import UnfoldedProblem, unfolded
 from napari_hmrf.solver.warm_start import Initial
 
@@ -104,14 +107,22 @@ def solve_with_sliding(
             _refuse(parts, freest, _UNCERTAIN)
     # An energy is reported per site of tissue, and a copy is no site.
     share = np.count_nonzero(parts.tissue) / np.count_nonzero(problem.tissue)
+    loads, elasticity = problem.loads, Elasticity.of_problem(problem, elastic, 1.0)
+    if has_drift(problem, elastic):
+        assert found.loads is not None
+        assert found.loads.growth is not None
+        growth = parts.coupling.folded(found.loads.growth)
+        force = None if loads is None else loads.force
+        loads = Loads(growth=growth, force=force, spacing=problem.spacing)
+        elasticity = replace(elasticity, growth=loads.growth)
     solution = replace(
         found,
         displacement=displacement,
         energy=found.energy * share,
         levels=tuple(replace(level, shape=problem.shape) for level in found.levels),
         tissue=problem.tissue,
-        loads=problem.loads,
-        elasticity=Elasticity.of_problem(problem, elastic, 1.0),
+        loads=loads,
+        elasticity=elasticity,
         provenance=replace(found.provenance, inputs=problem.digests),
         parts=sliding.labels,
     )
@@ -131,12 +142,6 @@ def _check_support(problem: Problem, prior: Prior, optimizer: Optimizer) -> None
             "sliding",
             "cannot be used beside observations with a confidence between 0 and 1 or a finite "
             "penalty. Use a precision instead, or a confidence of 1.",
-        )
-    if problem.landmarks is not None:
-        raise ProblemError(
-            "sliding",
-            "cannot be used with landmarks that have a standard deviation. Prescribe their motion "
-            "with a confidence of 1, or give it a precision at the sites around each landmark.",
         )
 
 
@@ -178,9 +183,14 @@ def _least_held(parts: UnfoldedProblem) -> tuple[float, npt.NDArray[np.bool_]]:
     ) -> tuple[Float64Array, npt.NDArray[np.intp]]:
         """Return the rigid motions of sites, shape (n, freedom, axes), and their pieces."""
         index = np.stack(np.unravel_index(sites, parts.shape), axis=1)
-        piece = (of_sites.ravel()[sites] if of is None else of) - 1
-        from_middle = (index - middle[piece]) / extent
-        moves = np.zeros((len(sites), freedom, axes))
+        return motions_of(index, (of_sites.ravel()[sites] if of is None else of) - 1)
+
+    def motions_of(
+        places: npt.NDArray[Any], piece: npt.NDArray[np.intp]
+    ) -> tuple[Float64Array, npt.NDArray[np.intp]]:
+        """Return the rigid motions of places in given pieces, counted from 0, and the pieces."""
+        from_middle = (places - middle[piece]) / extent
+        moves = np.zeros((len(places), freedom, axes))
         moves[:, range(axes), range(axes)] = 1
         for number, (i, j) in enumerate(turns, start=axes):
             moves[:, number, i], moves[:, number, j] = -from_middle[:, j], from_middle[:, i]
@@ -210,6 +220,10 @@ def _least_held(parts: UnfoldedProblem) -> tuple[float, npt.NDArray[np.bool_]]:
         at_data = np.flatnonzero(flat.any(axis=(1, 2)) & (of_sites.ravel() > 0))
         data, data_piece = motions(at_data)
         tensors = flat[at_data] / np.trace(flat[at_data], axis1=1, axis2=2)[:, None, None]
+    points, point_piece = np.zeros((0, freedom, axes)), np.zeros(0, np.intp)
+    if parts.landmarks is not None:
+        elements, _ = corners_of(parts.landmarks.points, parts.shape)
+        points, point_piece = motions_of(parts.landmarks.points, pieces[tuple(elements.T)] - 1)
     least, freest = math.inf, np.zeros(parts.shape, np.bool_)
     for cluster in range(clusters):
         mine = np.flatnonzero(cluster_of == cluster)
@@ -222,6 +236,7 @@ def _least_held(parts: UnfoldedProblem) -> tuple[float, npt.NDArray[np.bool_]]:
         for moves, piece, weights in (
             (of_held, held_piece, known[:, :, None] * np.eye(axes)),
             (data, data_piece, tensors),
+            (points, point_piece, np.broadcast_to(np.eye(axes), (len(points), axes, axes))),
         ):
             here = place[piece] >= 0
             rows = _rows(moves[here], place[piece[here]], freedom, size)

@@ -314,14 +314,26 @@ def _solve_all(
 ) -> Solution:
     """Solve a problem, which may have sliding parts or a drift."""
     progress = None if progress is None else StagedProgress(progress)
-    if problem.sliding is not None:
+    if problem.sliding is None:
+        return _solve_connected(problem, prior, optimizer, backend, progress, initial)
 
-        def solve_parts(
-            parts: Problem, of_parts: ElasticPrior, schedule: Optimizer, begin: Initial | None
-        ) -> Solution:
-            return _solution_of(parts, of_parts, schedule, backend, progress, begin)
+    def solve_parts(
+        parts: Problem, of_parts: ElasticPrior, schedule: Optimizer, begin: Initial | None
+    ) -> Solution:
+        return _solve_connected(parts, of_parts, schedule, backend, progress, begin)
 
-        return solve_with_sliding(problem, prior, optimizer, initial, solve_parts)
+    return solve_with_sliding(problem, prior, optimizer, initial, solve_parts)
+
+
+def _solve_connected(
+    problem: Problem,
+    prior: Prior | None,
+    optimizer: Optimizer | None,
+    backend: str,
+    progress: Progress | None,
+    initial: Initial | None,
+) -> Solution:
+    """Solve a problem without sliding parts, or with parts that are unfolded, and its drift."""
     if not has_drift(problem, prior):
         return _solution_of(problem, prior, optimizer, backend, progress, initial)
     elastic = prior if isinstance(prior, ElasticPrior) else ElasticPrior()

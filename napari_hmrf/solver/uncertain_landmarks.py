@@ -24,8 +24,8 @@ SD_RANGE = (1e-3, 1e6)
 # Largest precision of a landmark relative to the stiffness of the stiffest tissue. An observation
 # that is more certain should be prescribed.
 _MAX_WEIGHT = 1e12
-# Largest rounding error of a position, in pixels.
-_ROUNDING = 1e-6
+#: Largest rounding error of a position, in pixels.
+ROUNDING = 1e-6
 # Default extent of a patch, as a fraction of the longest side of the image.
 _PATCH = 0.1
 
@@ -277,7 +277,7 @@ def are_outside(points: Float64Array, grid: tuple[int, ...]) -> npt.NDArray[np.b
 
     Points in mm that are converted to pixels may be outside by a rounding error.
     """
-    beyond = (points < -_ROUNDING) | (points > np.array(grid) - 1 + _ROUNDING)
+    beyond = (points < -ROUNDING) | (points > np.array(grid) - 1 + ROUNDING)
     return np.asarray(beyond.any(axis=1))
 
 

@@ -19,7 +19,9 @@ from napari_hmrf.solver.coupling import Box, Coupling, Index
 from napari_hmrf.solver.interface_normals import interface_normals
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.priors.elastic import ElasticPrior
+from napari_hmrf.solver.priors.elements import stiffest
 from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.uncertain_landmarks import ROUNDING, Landmarks, corners_of
 
 Mask = npt.NDArray[np.bool_]
 Values = npt.NDArray[Any]
@@ -69,11 +71,11 @@ def unfolded(problem: Problem, prior: ElasticPrior) -> tuple[UnfoldedProblem, El
     Parameters
     ----------
     problem : Problem
-        Problem with `SlidingParts`, without landmarks.
+        Problem with `SlidingParts`.
     prior : ElasticPrior
     """
     m = problem.stiffness
-    _, parts, between = _layout.get(
+    _, numbers, parts, between = _layout.get(
         lambda last: last.is_valid_for(problem), lambda: _layout_of(problem)
     )
     boxes, grid = between.boxes, between.own.shape
@@ -87,16 +89,20 @@ def unfolded(problem: Problem, prior: ElasticPrior) -> tuple[UnfoldedProblem, El
         return made
 
     def of_all(values: Values) -> Values:
-        """Return values at own sites, and the mean of the own sites around a copy."""
+        """Return values at own sites, and the mean of the own soft sites around a copy."""
         made = of_own(values).copy()
         for part, box in zip(parts, boxes, strict=True):
-            _fill(made[box.unfolded], part)
+            _fill(made[box.unfolded], part, part.own & ~problem.rigid[box.image])
         made.setflags(write=False)
         return made
 
     stiffness = of_all(m).copy()
     for part, box in zip(parts, boxes, strict=True):
-        stiffness[box.unfolded][part.copies] *= np.float32(COPY_STIFFNESS)
+        of_part = stiffness[box.unfolded]
+        if problem.rigid[box.image][part.own].all():
+            of_part[part.copies] = stiffest(m)  # all elements are rigid, whatever this value
+        else:
+            of_part[part.copies] *= np.float32(COPY_STIFFNESS)
     stiffness.setflags(write=False)
     loads = problem.loads
     if loads is not None:
@@ -113,7 +119,7 @@ def unfolded(problem: Problem, prior: ElasticPrior) -> tuple[UnfoldedProblem, El
         "spacing": problem.spacing,
         "loads": loads,
         "precision": None if problem.precision is None else of_own(problem.precision),
-        "landmarks": None,
+        "landmarks": _landmarks_of_parts(problem, numbers, boxes),
         "sliding": None,
         "between": between,
     }.items():
@@ -127,6 +133,7 @@ class _Layout(NamedTuple):
     """Parts and coupling of the last problem, cached because each frame of a drag needs them."""
 
     problem: Problem
+    numbers: npt.NDArray[np.intp]
     parts: list[_Part]
     between: Coupling
 
@@ -155,7 +162,7 @@ def _layout_of(problem: Problem) -> _Layout:
     own = np.zeros(tuple(map(int, ends.max(axis=0))), np.bool_)
     for part, box in zip(parts, boxes, strict=True):
         own[box.unfolded] = part.own
-    return _Layout(problem, parts, _coupling(problem, numbers, parts, boxes, own))
+    return _Layout(problem, numbers, parts, _coupling(problem, numbers, parts, boxes, own))
 
 
 def _numbers(problem: Problem) -> npt.NDArray[np.intp]:
@@ -192,13 +199,45 @@ def _boxes(parts: list[_Part]) -> tuple[Box, ...]:
     return tuple(boxes)
 
 
-def _fill(values: Values, part: _Part) -> None:
-    """Set the values of copies to the mean of the own sites around them, in place."""
-    counts = _sums(part.own.astype(np.float64))[part.copies]
+def _landmarks_of_parts(
+    problem: Problem, numbers: npt.NDArray[np.intp], boxes: tuple[Box, ...]
+) -> Landmarks | None:
+    """Return the landmarks in the field of the part that owns the site nearest to each of them."""
+    marks = problem.landmarks
+    if marks is None:
+        return None
+    elements, within = corners_of(marks.points, problem.shape)
+    nearest = elements + (within > 0.5)
+    starts = np.array(
+        [[there.start - here.start for here, there in zip(*box, strict=True)] for box in boxes]
+    )
+    moves = starts[numbers[tuple(nearest.T)] - 1]
+    # A point on the far side of its element must not count as a point of the next element, which
+    # may not exist in this field.
+    points = elements + moves + np.minimum(within, 1 - ROUNDING)
+    return Landmarks(
+        points,
+        points + marks.targets - marks.points,
+        sd=marks.sd,
+        scale=marks.scale.resolved(problem.stiffness, problem.spacing),
+        drift=marks.drift,
+    )
+
+
+def _fill(values: Values, part: _Part, known: Mask) -> None:
+    """Set the values of copies to the mean of the known sites around them, in place.
+
+    A copy without such sites, which is beside rigid tissue only, gets the mean of all known sites.
+    """
+    if not known.any():
+        return
+    counts = _sums(known.astype(np.float64))[part.copies]
     flat = values.reshape(*part.own.shape, -1)
     for number in range(flat.shape[-1]):
-        total = _sums(np.where(part.own, flat[..., number], 0).astype(np.float64))
-        values.reshape(*part.own.shape, -1)[..., number][part.copies] = total[part.copies] / counts
+        own = np.where(known, flat[..., number], 0).astype(np.float64)
+        means = _sums(own)[part.copies] / np.maximum(counts, 1)
+        means[counts < 0.5] = own.sum() / np.count_nonzero(known)
+        values.reshape(*part.own.shape, -1)[..., number][part.copies] = means
 
 
 def _sums(values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -243,6 +282,7 @@ def _coupling(
         mine = (low == one) & (high == two)
         normals[mine] = _normals(numbers, int(one), int(two), sites[mine], problem.spacing)
     assert problem.sliding is not None
+    soft = np.minimum(soft, stiffest(m))  # also between two rigid bodies
     strength = problem.sliding.strength * soft * problem.unit ** (axes - 2)
     return Coupling(first, np.concatenate(second), normals, strength, m, boxes, own)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property, reduce
 from itertools import compress
 from operator import add
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +25,6 @@ from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import Elastic, ElasticPrior, Prior
 from napari_hmrf.solver.problem import FloatArray, Problem, as_stiffness, check_reach
-from napari_hmrf.solver.sliding_parts import SlidingParts
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, solve
 from napari_hmrf.solver.uncertain_landmarks import typical_stiffness
@@ -266,9 +265,9 @@ class Ground:
                 loads=loads,
                 precision=precision,
                 landmarks=landmarks,
-                sliding=self._sliding_parts(canvas.labels, m),
+                sliding=sliding_parts(canvas.labels, self.palette.materials, m),
             )
-        self._refuse_beside_sliding(problem, prior)
+        self._refuse_slip_beside_sliding(problem, prior)
         return Statement(problem, prior, self.study.optimizer, at_rest, labels, self.study, removed)
 
     def _check_remaining(self, m: FloatArray, canvas: Canvas) -> None:
@@ -306,31 +305,17 @@ class Ground:
         known = [part for part in parts if part is not None]
         return reduce(add, known) if known else None
 
-    def _sliding_parts(self, labels: npt.NDArray[Any], m: FloatArray) -> SlidingParts | None:
-        """Return the parts of tissue that slide; None if there are fewer than two parts."""
-        parts = sliding_parts(labels, self.palette.materials, m)
-        if parts is not None and np.isinf(m).any():
-            self._refuse_with_sliding("rigid tissue. Give it a large finite stiffness")
-        return parts
-
-    def _refuse_beside_sliding(self, problem: Problem, prior: Prior) -> None:
-        """Raise an error for inputs that cannot be combined with tissue that slides."""
-        if problem.sliding is None:
+    def _refuse_slip_beside_sliding(self, problem: Problem, prior: Prior) -> None:
+        """Raise an error for observations that may slip beside tissue that slides."""
+        if problem.sliding is None or not isinstance(prior, ElasticPrior):
             return
-        if problem.landmarks is not None:
-            self._refuse_with_sliding("landmarks with an uncertainty (±). Set ± to 0 (`sd=0`)")
-        if isinstance(prior, ElasticPrior) and prior.can_slip(problem):
-            self._refuse_with_sliding(
-                "a confidence between 0 and 1 or a finite spring strength. Use a confidence of 1"
+        if prior.can_slip(problem):
+            raise LayerError(
+                self.study.named("tissue", "image"),
+                "has tissue that slides along other tissue, which cannot be combined with a "
+                "confidence between 0 and 1 or a finite spring strength. Use a confidence of 1, or "
+                "let no tissue slide (`slides=False`).",
             )
-
-    def _refuse_with_sliding(self, other: str) -> NoReturn:
-        """Raise an error for an input that cannot be combined with tissue that slides."""
-        raise LayerError(
-            self.study.named("tissue", "image"),
-            "has tissue that slides along other tissue, which cannot be combined with "
-            f"{other}, or let no tissue slide (`slides=False`).",
-        )
 
     def refuse_motionless(self, statement: Statement) -> None:
         """Raise an error if a problem has no displacement, force, growth or removed tissue.

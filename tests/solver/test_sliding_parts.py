@@ -119,6 +119,88 @@ def test_sliding_parts_give_the_field_of_least_energy(number):
     assert len(again.energy) <= 2  # at most one cycle is left to do
 
 
+@pytest.mark.parametrize(
+    ("beside", "number"),
+    [
+        ("landmarks", 1),
+        ("landmarks", 3),
+        ("bodies", 1),
+        ("bodies", 3),
+        pytest.param("bodies", 0, marks=pytest.mark.campaign),
+    ],
+)
+def test_parts_with_landmarks_or_rigid_bodies_have_the_field_of_least_energy(beside, number):
+    problem, prior = tissue_with_parts(number, is_loaded=True, **{f"has_{beside}": True})
+    solution = solve(problem, prior, backend="cpu")
+    off = abs(solution.displacement - sliding_field(problem, prior)) / problem.unit
+    assert off[sites_of_elements(problem.tissue)].max() <= solution.convergence.error
+
+
+@pytest.mark.filterwarnings("ignore:a drift was estimated")
+def test_a_drift_strains_all_parts_that_are_not_rigid():
+    problem, prior = tissue_with_parts(1, has_bodies=True, has_drift=True)
+    solution = solve(problem, prior, backend="cpu")
+    off = abs(solution.displacement - sliding_field(problem, prior)) / problem.unit
+    assert off[sites_of_elements(problem.tissue)].max() <= solution.convergence.error
+    drift = np.array(solution.provenance.parameters["drift"])
+    assert abs(drift).max() >= 1e-3
+    soft = problem.tissue & ~problem.rigid
+    grown = np.where(soft[..., None, None], drift, 0.0)
+    assert solution.elasticity.growth == pytest.approx(grown, abs=1e-6)
+    assert solution.loads.growth == pytest.approx(grown, abs=1e-6)
+
+
+@pytest.mark.parametrize("axes", [2, pytest.param(3, marks=pytest.mark.campaign)])
+def test_a_rigid_ball_turns_in_its_socket_which_stays_at_rest(axes):
+    away, inside, turn = turning(32 if axes == 2 else 24, 8, axes)
+    held = both(away > (12 if axes == 2 else 10), axes) + both(away < 2, axes)
+    y = np.where(inside[..., None], turn, 0.0)
+    m = np.where(inside, np.inf, 1.0)
+    parts = SlidingParts(inside.astype(int))
+    moved = solve(
+        Problem(observed=y, confidence=held, stiffness=m, sliding=parts), backend="cpu"
+    ).displacement
+    assert moved[inside] == pytest.approx(y[inside], abs=1e-3)
+    assert abs(moved[~inside]).max() <= 0.05 * SLIP
+
+
+def test_rigid_tissue_at_an_interface_takes_at_most_three_times_the_cycles():
+    away, inside, turn = turning(96, 30, 2)
+    bone = (np.hypot(*(np.indices(away.shape) - np.array([47, 85])[:, None, None])) < 9) & ~inside
+    y, held = np.where(inside[..., None], turn, 0.0), both((away < 6) | (away > 45))
+    counts = [
+        len(
+            solve(
+                Problem(
+                    observed=y,
+                    confidence=held * ~bone[..., None],
+                    stiffness=np.where(bone, stiffness, 1.0),
+                    sliding=SlidingParts(inside.astype(int)),
+                ),
+                backend="cpu",
+            ).energy
+        )
+        for stiffness in (np.inf, 1.0)
+    ]
+    assert counts[0] <= 3 * counts[1]
+
+
+def test_landmarks_move_the_part_of_the_nearest_site():
+    depth = np.indices((30, 30))[0] - 14.5
+    points = np.array([[14.3, 12.2], [14.7, 20.1], [29.0, 29.0], [14.5, 8.0]])
+    push = np.array([[0.0, 2.0], [0.0, -2.0], [0.0, -2.0], [0.0, 2.0]])
+    problem = Problem(
+        observed=np.zeros((30, 30, 2)),
+        confidence=both(np.indices((30, 30))[1] == 0) * [1, 0],
+        stiffness=np.ones((30, 30)),
+        sliding=SlidingParts((depth < 0).astype(int)),
+        landmarks=Landmarks(points, points + push, sd=0.01),
+    )
+    moved = solve(problem, backend="cpu").displacement[..., 1]
+    assert moved[:15] == pytest.approx(np.full((15, 30), 2.0), abs=0.02)
+    assert moved[15:] == pytest.approx(np.full((15, 30), -2.0), abs=0.02)
+
+
 def test_the_coupling_is_the_gradient_of_its_energy_and_resists_gaps_only():
     away, inside, _ = turning(16, 5, 2)
     rest = np.zeros((16, 16, 2))
@@ -206,8 +288,6 @@ def test_parts_that_cannot_slide_are_refused_with_the_reason():
         SlidingParts(labels.astype(np.int64) << 40)
     with pytest.raises(ProblemError, match="rows of different lengths"):
         SlidingParts([[1, 2], [3]])
-    with pytest.raises(ProblemError, match="rigid"):
-        problem(m=np.where(labels, 1.0, np.inf))
     with pytest.raises(ProblemError, match=r"Pass SlidingParts\(labels\)"):
         problem(sliding=labels)
     for prior in (SeilerPrior(), NeoHookeanPrior()):
@@ -215,8 +295,5 @@ def test_parts_that_cannot_slide_are_refused_with_the_reason():
             solve(problem(), prior, backend="cpu")
     with pytest.raises(ProblemError, match="confidence between 0 and 1"):
         solve(problem(0.5 * held), backend="cpu")
-    marks = Landmarks([[5.0, 5.0]], [[6.0, 5.0]], sd=1.0)
-    with pytest.raises(ProblemError, match="landmarks that have a standard deviation"):
-        solve(problem(landmarks=marks), backend="cpu")
     with pytest.raises(ProblemError, match="energy of one displacement is not available"):
         ElasticPrior().energy(problem(), rest)

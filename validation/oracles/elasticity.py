@@ -289,10 +289,7 @@ def direct_solution(
     alone, columns = ~held & (matrix.diagonal() > 0), []
     for at, motions in _bodies(problem):
         alone[at] = False
-        stops = motions[held[at]]
-        field[at] = motions @ np.linalg.lstsq(stops, field[at[held[at]]])[0]
-        _, strength, modes = np.linalg.svd(stops, full_matrices=True)
-        free = motions @ modes[(strength > _FREE).sum() :].T
+        free, field[at] = free_motions(motions, held[at], field[at])
         rows, cols = np.broadcast_arrays(at[:, None], np.arange(free.shape[1]))
         entries = free.ravel(), (rows.ravel(), cols.ravel())
         columns.append(sp.csc_array(entries, shape=(field.size, free.shape[1])))
@@ -342,6 +339,17 @@ def rigid_motions(places: Array) -> Array:
         turn[:, i], turn[:, j] = -places[:, j], places[:, i]
         motions.append(turn)
     return np.stack([motion.ravel() for motion in motions], axis=-1)
+
+
+def free_motions(motions: Array, held: Mask, observed: Array) -> tuple[Array, Array]:
+    """Return the rigid motions of a body that its prescribed components leave free, as columns.
+
+    The second array is the rigid motion with the observed displacement of these components.
+    """
+    stops = motions[held]
+    _, strength, modes = np.linalg.svd(stops, full_matrices=True)
+    free = motions @ modes[(strength > _FREE).sum() :].T
+    return free, motions @ np.linalg.lstsq(stops, observed[held])[0]
 
 
 class System(NamedTuple):

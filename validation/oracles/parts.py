@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 import scipy.linalg
+import scipy.ndimage
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 
@@ -25,12 +26,15 @@ from napari_hmrf.solver.interface_normals import interface_normals
 from napari_hmrf.solver.problem import variant_of
 from validation.oracles.elasticity import (
     at_corners,
+    free_motions,
     grid_matrix,
     growth_load,
     is_plane_stress,
     lame_of,
+    rigid_motions,
+    rigid_sites,
 )
-from validation.oracles.posterior import with_data
+from validation.oracles.posterior import affine_motions, interpolation, with_data
 
 if TYPE_CHECKING:
     from napari_hmrf.tissue.cavity import Cavity
@@ -112,12 +116,13 @@ class _Parts(NamedTuple):
 
     Attributes
     ----------
-    matrix : csr_array, shape (free, free)
-    right : ndarray, shape (free,)
-    free : ndarray of bool, shape (n,)
-        Mask of the unknown components of the fields, which are stored one after the other.
+    matrix : csr_array, shape (unknowns, unknowns)
+    right : ndarray, shape (unknowns,)
+    basis : csr_array, shape (n, unknowns)
+        Motion of the components of the fields, which are stored one after the other, by each
+        unknown: a free component, a free rigid motion of a body, or a strain of the drift.
     start : ndarray, shape (n,)
-        Prescribed displacement; 0 elsewhere.
+        Displacement if all unknowns are 0.
     own : csr_array, shape (n, components of the image)
         1 for each component of the image in the field of the part that owns its site.
     problem : Problem
@@ -125,15 +130,14 @@ class _Parts(NamedTuple):
 
     matrix: sp.csr_array
     right: Array
-    free: Flags
+    basis: sp.csr_array
     start: Array
     own: sp.csr_array
     problem: Problem
 
     def image(self, solution: Array) -> Array:
-        """Return the displacement of the image from the unknown components; 0 in void."""
-        fields = self.start.copy()
-        fields[self.free] = solution
+        """Return the displacement of the image from the unknowns; 0 in void."""
+        fields = self.start + self.basis @ solution
         return np.asarray(self.own.T @ fields).reshape(self.problem.observed.shape)
 
 
@@ -146,11 +150,11 @@ def _assembled(
     owner = np.full(m.shape, -1)
     owner[m > 0] = np.unique(labels[m > 0], return_inverse=True)[1]
     count = int(owner.max()) + 1
-    blocks, loads = zip(
+    blocks, loads, bodies = zip(
         *(_elements(problem, prior, owner, part) for part in range(count)), strict=True
     )
     elastic = sp.block_diag(blocks, format="csr")
-    moves = elastic.diagonal() > 0
+    moves = (elastic.diagonal() > 0) | np.repeat(np.ravel(bodies), axes)
     at = np.flatnonzero(owner >= 0)
     place = (owner.flat[at] * m.size + at)[:, None] * axes + np.arange(axes)
     component = at[:, None] * axes + np.arange(axes)
@@ -161,31 +165,101 @@ def _assembled(
     if force is None and problem.loads is not None:
         force = problem.loads.force
     push = np.zeros(problem.observed.size) if force is None else np.ravel(force).astype(np.float64)
-    data, push = with_data(problem, sp.csr_array((push.size, push.size)), push)
+    only_precision = variant_of(problem, landmarks=None)
+    data, push = with_data(only_precision, sp.csr_array((push.size, push.size)), push)
     in_elements = moves.reshape(count, *m.shape, axes)[..., 0]
     gaps, strength = _gaps(problem, owner, in_elements, tilt, number)
-    matrix = (elastic + own @ data @ own.T + gaps.T @ sp.diags_array(strength) @ gaps).tocsr()
+    added, pushed = own @ data @ own.T + gaps.T @ sp.diags_array(strength) @ gaps, own @ push
+    if problem.landmarks is not None:
+        marks = problem.landmarks
+        weights = marks.scale.energy(problem.stiffness, problem.spacing) / marks.sd.ravel() ** 2
+        at_points = _at_points(marks.points, owner, count)
+        added = added + at_points.T @ sp.diags_array(weights) @ at_points
+        pushed = pushed + at_points.T @ (weights * marks.displacement(problem.spacing).ravel())
+    basis, start = _free_motions(problem, own, moves, np.stack(bodies))
+    grown = np.concatenate(loads)
+    matrix = basis.T @ (elastic + added) @ basis
+    right = basis.T @ (grown + pushed - (elastic + added) @ start)
+    if problem.landmarks is not None and problem.landmarks.drift:
+        # The elastic energy is that of the displacement less the affine motion of the drift.
+        affine = np.tile(affine_motions(problem), (count, 1))
+        beside, own_part = basis.T @ (elastic @ affine), affine.T @ (elastic @ affine)
+        blocks = [[matrix, sp.csr_array(-beside)], [sp.csr_array(-beside.T), own_part]]
+        matrix = sp.block_array(blocks, format="csr")
+        right = np.concatenate([right, affine.T @ (elastic @ start - grown)])
+        basis = sp.hstack([basis, sp.csr_array(affine.shape)], format="csr")
+    return _Parts(sp.csr_array(matrix), right, sp.csr_array(basis), start, own, problem)
+
+
+def _free_motions(
+    problem: Problem, own: sp.csr_array, moves: Flags, bodies: Flags
+) -> tuple[sp.csr_array, Array]:
+    """Return the motions that are not prescribed, as columns, and the prescribed displacement.
+
+    Parameters
+    ----------
+    problem : Problem
+    own : csr_array
+        As for `_Parts`.
+    moves : ndarray of bool, shape (n,)
+        Mask of the components of elements.
+    bodies : ndarray of bool, shape (parts, H, W) or (parts, D, H, W)
+        Mask of the corners of rigid elements in the field of each part.
+    """
+    axes = problem.stiffness.ndim
+    held = own @ problem.known.ravel().astype(np.float64) > 0
     start = own @ np.where(problem.known, problem.observed, 0.0).ravel()
-    free = moves & ~(own @ problem.known.ravel().astype(np.float64) > 0)
-    right = np.concatenate(loads) + own @ push - matrix @ start
-    return _Parts(matrix[free][:, free], right[free], free, start, own, problem)
+    alone, columns = moves & ~held, []
+    for part, rigid in enumerate(bodies):
+        labels, count = scipy.ndimage.label(rigid, np.ones((3,) * axes))
+        for body in range(1, count + 1):
+            sites = np.argwhere(labels == body)
+            flat = part * rigid.size + np.ravel_multi_index(tuple(sites.T), rigid.shape)
+            at = (axes * flat[:, None] + np.arange(axes)).ravel()
+            motions = rigid_motions((sites - sites.mean(axis=0)) * problem.spacing / problem.unit)
+            free, start[at] = free_motions(motions, held[at], start[at])
+            alone[at] = False
+            rows, cols = np.broadcast_arrays(at[:, None], np.arange(free.shape[1]))
+            entries = free.ravel(), (rows.ravel(), cols.ravel())
+            columns.append(sp.csc_array(entries, shape=(start.size, free.shape[1])))
+    columns.append(sp.eye_array(start.size, format="csc")[:, np.flatnonzero(alone)])
+    return sp.hstack(columns, format="csr"), start
+
+
+def _at_points(points: Array, owner: Sites, count: int) -> sp.csr_array:
+    """Return the matrix that interpolates each point in the field of the part at its nearest site.
+
+    Points halfway between two sites belong to the first.
+    """
+    of_image = interpolation(points, owner.shape)
+    nearest = np.ceil(points - 0.5).astype(int)
+    parts = owner[tuple(nearest.T)]
+    axes = owner.ndim
+    made = of_image.tocoo()
+    columns = made.col + parts[made.row // axes] * owner.size * axes
+    return sp.csr_array(
+        (made.data, (made.row, columns)), shape=(len(points) * axes, count * owner.size * axes)
+    )
 
 
 def _elements(
     problem: Problem, prior: ElasticPrior, owner: Sites, part: int
-) -> tuple[sp.bsr_array, Array]:
-    """Return the matrix and the forces of growth of the elements of a part."""
+) -> tuple[sp.bsr_array, Array, Flags]:
+    """Return matrix and forces of growth of a part's elements, and a mask of its rigid sites."""
     m, own = problem.stiffness.astype(np.float64), owner == part
     axes, full = m.ndim, is_plane_stress(problem, prior)
     exist = at_corners(owner >= 0, axes).all(axis=0)
+    rigid = rigid_sites(np.where(own, m, np.where(owner >= 0, 1.0, 0.0)))
     young = np.where(exist, at_corners(np.where(own, m, 0.0), axes).mean(axis=0), 0.0)
+    young[np.isinf(young)] = 0
     nu = np.broadcast_to(np.asarray(prior.poisson, np.float64), m.shape)
-    ratio = at_corners(_extended(nu, own), axes).mean(axis=0)
+    ratio = at_corners(_extended(nu, own & np.isfinite(m)), axes).mean(axis=0)
     lame = lame_of(young, ratio, bulges=full)
     if problem.loads is not None and problem.loads.growth is not None:
-        grown = _extended(problem.loads.growth, own)
+        grown = _extended(problem.loads.growth, own & np.isfinite(m))
         problem = variant_of(problem, loads=Loads(growth=grown))
-    return grid_matrix(problem.spacing, *lame, full=full), growth_load(problem, prior, *lame)
+    matrix = grid_matrix(problem.spacing, *lame, full=full)
+    return matrix, growth_load(problem, prior, *lame), rigid
 
 
 def sliding_field(problem: Problem, prior: ElasticPrior) -> Array:
@@ -273,6 +347,7 @@ def _gaps(
     """
     axes, m = owner.ndim, problem.stiffness.astype(np.float64)
     relative = 0.0 if problem.sliding is None else problem.sliding.strength
+    stiffest = float(m.max(where=np.isfinite(m), initial=0.0)) or 1.0
     dice = np.random.default_rng(number)
     pairs, ways, strengths = [], [], []
     for one, two in itertools.combinations(range(len(in_elements)), 2):
@@ -282,6 +357,7 @@ def _gaps(
                 flat = int(np.ravel_multi_index(tuple(site), owner.shape))
                 near = tuple(slice(max(i - 1, 0), i + 2) for i in site)
                 soft = min(float(m[near][owner[near] == part].max()) for part in (one, two))
+                soft = min(soft, stiffest)  # between two rigid bodies
                 at.append(site)
                 pairs.append((home * owner.size + flat, copied * owner.size + flat))
                 strengths.append(relative * soft * problem.unit ** (axes - 2))

@@ -65,15 +65,7 @@ def posterior_mean_with_drift(problem, prior) -> tuple[np.ndarray, np.ndarray]:
     A drift is a uniform strain that costs no energy: the elastic energy is that of the displacement
     minus an affine motion.
     """
-    axes = len(problem.shape)
-    places = np.moveaxis(np.indices(problem.shape), 0, -1) * problem.spacing
-    units = []
-    for i in range(axes):
-        for j in range(i, axes):
-            unit = np.zeros((axes, axes))
-            unit[i, j] = unit[j, i] = 1
-            units.append(unit)
-    motions = np.stack([(places @ unit).ravel() for unit in units], axis=1)
+    motions, units = affine_motions(problem), _unit_strains(len(problem.shape))
     grown, pulled = load_vector(problem, prior), np.zeros(motions.shape[0])
     if problem.loads is not None and problem.loads.force is not None:
         pulled = problem.loads.force.astype(float).ravel()
@@ -97,6 +89,23 @@ def posterior_mean_with_drift(problem, prior) -> tuple[np.ndarray, np.ndarray]:
     field[free] = solved[: free.sum()]
     strain = np.einsum("k,kij->ij", solved[free.sum() :], np.array(units))
     return field.reshape(problem.observed.shape), strain
+
+
+def affine_motions(problem) -> np.ndarray:
+    """Return the displacement of all components in each uniform strain, as columns."""
+    places = np.moveaxis(np.indices(problem.shape), 0, -1) * problem.spacing
+    strains = _unit_strains(len(problem.shape))
+    return np.stack([(places @ unit).ravel() for unit in strains], axis=1)
+
+
+def _unit_strains(axes) -> list[np.ndarray]:
+    units = []
+    for i in range(axes):
+        for j in range(i, axes):
+            unit = np.zeros((axes, axes))
+            unit[i, j] = unit[j, i] = 1
+            units.append(unit)
+    return units
 
 
 def posterior_covariance(problem, prior, scale) -> tuple[np.ndarray, np.ndarray]:
