@@ -21,6 +21,7 @@ from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.neighbours import around_sites, in_elements
+from napari_hmrf.solver.coupling import Coupling
 from napari_hmrf.solver.precision import are_equal
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.uncertain_landmarks import Landmarks, corners_of
@@ -34,10 +35,51 @@ _STEPS = ("along the plane axis", "along the row axis", "along the column axis")
 
 Labels = npt.NDArray[np.int32]
 Motions = npt.NDArray[np.float64]
+Places = tuple[npt.NDArray[Any], ...]
 #: Displacement of sites along an axis in each rigid motion, keyed by the number of the motion.
 Ways = dict[int, Motions]
 # Cluster of pieces, its cost matrix, the costs of its motions in ascending order, and the motions.
 _Ways = tuple[npt.NDArray[np.int64], Motions, Motions, Motions]
+
+
+class Ties(NamedTuple):
+    """Constraints on the rigid motions of pieces, or on the relative motions of two pieces.
+
+    Attributes
+    ----------
+    places : tuple of ndarray, each of shape (n,)
+        Position along each axis, in pixels.
+    pieces : ndarray of int, shape (n,)
+        Number of the piece, from 0.
+    tensors : dict
+        Components (i, j) of the tensor that resists the motion, or one number for all ties; other
+        components are 0.
+    others : ndarray of int, shape (n,), optional
+        Number of the second piece, whose motion is subtracted.
+    other_places : tuple of ndarray, optional
+        Position in the second piece; by default the same.
+    """
+
+    places: Places
+    pieces: npt.NDArray[np.integer]
+    tensors: dict[tuple[int, int], Any]
+    others: npt.NDArray[np.integer] | None = None
+    other_places: Places | None = None
+
+    def in_all_directions(self) -> Ties:
+        """Return ties that resist every motion of the same places equally."""
+        return self._replace(tensors=_every_direction(len(self.places)))
+
+    def some(self, at: npt.NDArray[np.intp], numbers: npt.NDArray[np.intp]) -> Ties:
+        """Return some of the ties, with other numbers of the pieces."""
+        far = self.other_places
+        return Ties(
+            tuple(along[at] for along in self.places),
+            numbers[self.pieces[at]],
+            {pair: each[at] if np.ndim(each) else each for pair, each in self.tensors.items()},
+            None if self.others is None else numbers[self.others[at]],
+            None if far is None else tuple(along[at] for along in far),
+        )
 
 
 class HeldTissue(NamedTuple):
@@ -189,14 +231,14 @@ def free_motion(problem: Problem, held: npt.NDArray[np.bool_]) -> FreeMotion | N
     held : ndarray of bool, shape (H, W, 2)
         Mask of the constrained components.
     """
-    pieces, count = _pieces(problem.stiffness)
+    pieces, count = pieces_of(problem.stiffness)
     ways = _modes(pieces, count, held, problem)
     return _first_motion(problem, pieces, count, ways)
 
 
 def _some_pieces(problem: Problem) -> tuple[Labels, int]:
     """Return the labelled pieces of tissue; raise an error if there is no element of tissue."""
-    pieces, count = _pieces(problem.stiffness)
+    pieces, count = pieces_of(problem.stiffness)
     if count == 0:
         raise ProblemError(
             "stiffness",
@@ -212,12 +254,12 @@ def _first_motion(
     """Return the first free motion of any cluster of pieces, or None."""
     for cluster, strength, modes in _free(ways):
         mode = modes[0]
-        worst, freedom = int(np.argmax((mode**2).sum(axis=1))), mode.shape[1]
-        own = slice(freedom * worst, freedom * worst + freedom)
+        worst, motions = int(np.argmax((mode**2).sum(axis=1))), mode.shape[1]
+        own = slice(motions * worst, motions * worst + motions)
         unconstrained = np.trace(strength[own, own]) == 0
-        names = (*_STEPS[-pieces.ndim :], *["by turning"] * freedom)
+        names = (*_STEPS[-pieces.ndim :], *["by turning"] * motions)
         clause = f"could still move {names[int(np.argmax(np.abs(mode[worst])))]}"
-        piece_modes = np.zeros((count + 1, freedom))
+        piece_modes = np.zeros((count + 1, motions))
         piece_modes[cluster + 1] = mode
         return FreeMotion(
             _sites(np.where(pieces == cluster[worst] + 1, pieces, 0)) > 0,
@@ -244,7 +286,7 @@ def free_motions(
         Independent free motions of a cluster of connected pieces; different clusters have no common
         sites.
     """
-    pieces, count = _pieces(problem.stiffness)
+    pieces, count = pieces_of(problem.stiffness)
     for cluster, _, modes in _free(_modes(pieces, count, held, problem)):
         piece_modes = np.zeros((count + 1, modes.shape[2]))
         ways = []
@@ -274,7 +316,7 @@ def free_pieces(
     free : ndarray of int
         Numbers of the free pieces.
     """
-    pieces, count = _pieces(tissue)
+    pieces, count = pieces_of(tissue)
     if count == 0:
         return np.zeros(tissue.shape, dtype=np.int32), np.zeros(0, dtype=np.intp)
     loose = np.zeros(count + 1, dtype=bool)
@@ -288,7 +330,7 @@ def free_pieces(
     return numbers, np.flatnonzero(loose)
 
 
-def _pieces(m: npt.NDArray[Any]) -> tuple[Labels, int]:
+def pieces_of(m: npt.NDArray[Any]) -> tuple[Labels, int]:
     """Label the connected pieces of elements, from 1, at the first site of each element."""
     elements = in_elements(m)
     compute_thread.check_cancelled()
@@ -315,80 +357,144 @@ def _modes(
     most: int | None = None,
 ) -> Iterator[_Ways]:
     """Compute the motions of each cluster and their costs, in ascending order of cost."""
-    # The cost of a motion is the sum of its squared displacements at all constraints. A site of the
-    # data term counts like a constraint in the directions of its tensor, however weak it is.
-    if count == 0:
-        return
-    shape = held.shape[:-1]
-    axes, freedom = len(shape), len(_turns(len(shape))) + len(shape)
-    # Each constrained component is a constraint on its piece. Each component of a hinge is a
-    # constraint on the difference between the motions of two pieces.
-    of_sites = _sites(pieces)
-    holds = []
-    for along in range(axes):
-        compute_thread.check_cancelled()
-        holds.append(np.nonzero(held[..., along] & (of_sites > 0)))
-    held_of = [of_sites[sites] - 1 for sites in holds]
-    hinged = _hinges(pieces) if count > 1 else np.zeros((0, axes + 2), dtype=int)
-    data = None if problem is None else _data_costs(problem, pieces, count, freedom, most)
-    for cluster in _clusters(hinged, count):
-        place = np.full(count, -1)
-        place[cluster] = np.arange(len(cluster))
-        costs = np.zeros((len(cluster), freedom) * 2)
-        own = hinged[place[hinged[:, -2]] >= 0]
-        for along, (sites, of) in enumerate(zip(holds, held_of, strict=True)):
-            inside = place[of] >= 0
-            ways = _motions(tuple(index[inside] for index in sites), along, shape)
-            _tie(costs, place[of[inside]], ways)
-            ways = _motions(tuple(own.T[:axes]), along, shape)
-            _tie(costs, place[own[:, -2]], ways, place[own[:, -1]])
-        if data is not None:
-            within = np.arange(len(cluster))
-            costs[within, :, within] += data[cluster]
-        strength = costs.reshape(freedom * len(cluster), -1)
+    # The cost of a motion is the sum of its squared displacements at all constraints.
+    for cluster, ties in clusters(ties_of(pieces, count, held, problem, most), count):
+        strength = costs_of(ties, len(cluster), held.shape[:-1])
         yield cluster, strength, *np.linalg.eigh(strength)
 
 
-def _data_costs(
-    problem: Problem, pieces: Labels, count: int, freedom: int, most: int | None
-) -> Motions:
-    """Return the costs of the motions of each piece due to the data term, without its strength.
+def ties_of(
+    pieces: Labels,
+    count: int,
+    held: npt.NDArray[np.bool_],
+    problem: Problem | None = None,
+    most: int | None = None,
+) -> list[Ties]:
+    """Return the ties of pieces of tissue: constraints, hinges, data, and then sliding parts.
 
-    If `most` is given, only about this number of tensors is included. The result has shape (pieces,
-    motions, motions).
+    A site or landmark of the data term counts like a constraint in the directions of its tensor,
+    however weak it is. If `most` is given, only about this number of tensors is included.
     """
-    costs = np.zeros((count, freedom, freedom))
-    precision, landmarks = problem.precision, problem.landmarks
-    if precision is not None:
-        of_sites = _sites(pieces)
-        there = np.flatnonzero((precision.reshape(*of_sites.shape, -1) != 0).any(axis=-1))
+    axes, of_sites = pieces.ndim, _sites(pieces)
+    ties = []
+    for along in range(axes):
+        compute_thread.check_cancelled()
+        sites = np.nonzero(held[..., along] & (of_sites > 0))
+        ties.append(Ties(sites, of_sites[sites] - 1, {(along, along): 1.0}))
+    if count > 1:
+        *at, one, other = _hinges(pieces).T
+        ties.append(Ties(tuple(at), one, _every_direction(axes), other))
+    if problem is None:
+        return ties
+    if problem.precision is not None:
+        flat = problem.precision.reshape(*of_sites.shape, -1)
+        there = np.flatnonzero((flat != 0).any(axis=-1))
         there = there[of_sites.ravel()[there] > 0]
         step = 1 if most is None else max(1, len(there) // most)
         sites = np.unravel_index(there[::step], of_sites.shape)
-        tensors = precision[sites]
+        tensors = problem.precision[sites]
         tensors *= step / np.trace(tensors, axis1=-2, axis2=-1)[:, None, None]
-        _add_data(costs, tensors, sites, of_sites[sites] - 1, problem.shape)
-    if landmarks is not None:
-        elements, _ = corners_of(landmarks.points, problem.shape)
-        points = tuple(landmarks.points.T)
-        tensors = np.broadcast_to(np.eye(len(points)), (len(landmarks), len(points), len(points)))
-        _add_data(costs, tensors, points, pieces[tuple(elements.T)] - 1, problem.shape)
-    return costs
+        components = {(i, j): tensors[:, i, j] for i, j in product(range(axes), repeat=2)}
+        ties.append(Ties(sites, of_sites[sites] - 1, components))
+    if problem.landmarks is not None:
+        points = problem.landmarks.points
+        elements, _ = corners_of(points, problem.shape)
+        of_points = pieces[tuple(elements.T)] - 1
+        ties.append(Ties(tuple(points.T), of_points, _every_direction(axes)))
+    if problem.coupling is not None:
+        ties.append(_gaps_of(problem.coupling, pieces))
+    return ties
 
 
-def _add_data(
-    costs: Motions,
-    tensors: Motions,
-    sites: tuple[npt.NDArray[Any], ...],
-    piece: npt.NDArray[Any],
-    shape: tuple[int, ...],
-) -> None:
-    """Add the costs of data with given tensors, at sites or points of given pieces, in place."""
-    ways = [_motions(sites, along, shape) for along in range(len(shape))]
-    for (i, of_i), (j, of_j) in product(enumerate(ways), repeat=2):
-        for (row, one), (col, two) in product(of_i.items(), of_j.items()):
-            work = tensors[:, i, j] * one * two
-            costs[:, row, col] += np.bincount(piece, work, minlength=len(costs))
+def _gaps_of(between: Coupling, pieces: npt.NDArray[Any]) -> Ties:
+    """Return the ties of sliding parts along the normals of their interfaces."""
+    of_sites = _sites(pieces).ravel()
+    coupled = (of_sites[between.first] > 0) & (of_sites[between.second] > 0)
+    first, second = between.first[coupled], between.second[coupled]
+    normals = between.normals[coupled].T
+    pairs = product(range(len(normals)), repeat=2)
+    return Ties(
+        np.unravel_index(first, between.own.shape),
+        of_sites[first] - 1,
+        {(i, j): normals[i] * normals[j] for i, j in pairs},
+        of_sites[second] - 1,
+        np.unravel_index(second, between.own.shape),
+    )
+
+
+def _every_direction(axes: int) -> dict[tuple[int, int], Any]:
+    """Return the components of the unit tensor."""
+    return {(along, along): 1.0 for along in range(axes)}
+
+
+def clusters(ties: list[Ties], count: int) -> Iterator[tuple[npt.NDArray[np.intp], list[Ties]]]:
+    """Yield the pieces of each cluster that ties connect, and the ties within it.
+
+    The ties of a cluster number its pieces from 0.
+    """
+    if count == 0:
+        return
+    pairs = [(tie.pieces, tie.others) for tie in ties if tie.others is not None]
+    rows = np.concatenate([np.zeros(0, np.intp), *(one for one, _ in pairs)])
+    columns = np.concatenate([np.zeros(0, np.intp), *(other for _, other in pairs)])
+    graph = scipy.sparse.coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(count, count))
+    number, cluster = scipy.sparse.csgraph.connected_components(graph, directed=False)
+    if number == 1:
+        yield np.arange(count), ties
+        return
+    order = np.argsort(cluster, kind="stable")
+    bounds = np.searchsorted(cluster[order], np.arange(number + 1))
+    place = np.empty(count, np.intp)
+    place[order] = np.arange(count) - bounds[cluster[order]]
+    orders = [np.argsort(cluster[tie.pieces], kind="stable") for tie in ties]
+    ends = [
+        np.searchsorted(cluster[tie.pieces[each]], np.arange(number + 1))
+        for tie, each in zip(ties, orders, strict=True)
+    ]
+    for each in range(number):
+        within = [
+            tie.some(of_tie[end[each] : end[each + 1]], place)
+            for tie, of_tie, end in zip(ties, orders, ends, strict=True)
+        ]
+        yield order[bounds[each] : bounds[each + 1]], within
+
+
+def costs_of(ties: Iterable[Ties], count: int, shape: tuple[int, ...]) -> Motions:
+    """Return the quadratic form of the costs of the rigid motions of pieces.
+
+    Parameters
+    ----------
+    ties : iterable of Ties
+    count : int
+        Number of pieces; each has `freedom(axes)` consecutive rows.
+    shape : tuple of int
+        Shape of the grid.
+    """
+    axes = len(shape)
+    costs = np.zeros((count, freedom(axes)) * 2)
+    for tie in ties:
+        directions = sorted({along for pair in tie.tensors for along in pair})
+
+        def ways(places: Places, directions: list[int] = directions) -> dict[int, Ways]:
+            return {along: _motions(places, along, shape) for along in directions}
+
+        ends = [(tie.pieces, ways(tie.places), 1.0)]
+        if tie.others is not None:
+            there = tie.places if tie.other_places is None else tie.other_places
+            ends.append((tie.others, ways(there), -1.0))
+        for (i, j), weight in tie.tensors.items():
+            for (first, of_first, sign), (second, of_second, other) in product(ends, repeat=2):
+                between = first * count + second
+                motions = product(of_first[i].items(), of_second[j].items())
+                for (row, one), (col, two) in motions:
+                    cost = np.bincount(between, weight * one * two, minlength=count**2)
+                    costs[:, row, :, col] += sign * other * cost.reshape(count, count)
+    return costs.reshape(freedom(axes) * count, -1)
+
+
+def freedom(axes: int) -> int:
+    """Return the number of rigid motions."""
+    return axes + len(_turns(axes))
 
 
 def _sites(pieces: Labels) -> Labels:
@@ -415,7 +521,7 @@ def _turns(axes: int) -> list[tuple[int, int]]:
     return list(combinations(range(axes), 2))
 
 
-def _motions(sites: tuple[npt.NDArray[Any], ...], along: int, shape: tuple[int, ...]) -> Ways:
+def _motions(sites: Places, along: int, shape: tuple[int, ...]) -> Ways:
     """Return the displacement of sites along an axis, for each rigid motion that has one."""
     from_middle = [index - size / 2 for index, size in zip(sites, shape, strict=True)]
     motions = {along: np.ones(np.shape(sites[0]))}
@@ -425,23 +531,6 @@ def _motions(sites: tuple[npt.NDArray[Any], ...], along: int, shape: tuple[int, 
         elif along == second:
             motions[number] = from_middle[first] / max(shape)
     return motions
-
-
-def _tie(
-    costs: Motions,
-    piece: npt.NDArray[Any],
-    ways: Ways,
-    other: npt.NDArray[Any] | None = None,
-) -> None:
-    """Add the costs of motions of pieces or of relative motions of two pieces, in place."""
-    count = len(costs)
-    pairs = [(piece, piece, 1.0)]
-    if other is not None:
-        pairs += [(other, other, 1.0), (piece, other, -1.0), (other, piece, -1.0)]
-    for (row, one), (col, two) in product(ways.items(), repeat=2):
-        for first, second, sign in pairs:
-            cost = np.bincount(first * count + second, one * two, minlength=count**2)
-            costs[:, row, :, col] += sign * cost.reshape(count, count)
 
 
 def _hinges(pieces: Labels) -> npt.NDArray[np.int64]:
@@ -460,13 +549,3 @@ def _hinges(pieces: Labels) -> npt.NDArray[np.int64]:
         places = [index[meet] for index in sites]
         hinges.append(np.stack([*places, one[meet] - 1, other[meet] - 1], axis=-1))
     return np.concatenate(hinges)
-
-
-def _clusters(hinged: npt.NDArray[np.int64], count: int) -> list[npt.NDArray[np.int64]]:
-    """Return the clusters of pieces that are connected by hinges."""
-    graph = scipy.sparse.coo_matrix(
-        (np.ones(len(hinged)), (hinged[:, -2], hinged[:, -1])), shape=(count, count)
-    )
-    number, cluster = scipy.sparse.csgraph.connected_components(graph, directed=False)
-    order = np.argsort(cluster, kind="stable")
-    return np.split(order, np.searchsorted(cluster[order], np.arange(1, number)))
