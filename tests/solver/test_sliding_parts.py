@@ -164,25 +164,24 @@ def test_a_rigid_ball_turns_in_its_socket_which_stays_at_rest(axes):
     assert abs(moved[~inside]).max() <= 0.05 * SLIP
 
 
-def test_rigid_tissue_at_an_interface_takes_at_most_three_times_the_cycles():
+def test_rigid_tissue_in_a_part_takes_at_most_twice_the_cycles():
     away, inside, turn = turning(96, 30, 2)
-    bone = (np.hypot(*(np.indices(away.shape) - np.array([47, 85])[:, None, None])) < 9) & ~inside
-    y, held = np.where(inside[..., None], turn, 0.0), both((away < 6) | (away > 45))
-    counts = [
-        len(
-            solve(
-                Problem(
-                    observed=y,
-                    confidence=held * ~bone[..., None],
-                    stiffness=np.where(bone, stiffness, 1.0),
-                    sliding=SlidingParts(inside.astype(int)),
-                ),
-                backend="cpu",
-            ).energy
+    bone = np.hypot(*(np.indices(away.shape) - np.array([59, 47])[:, None, None])) < 8
+    y, held = np.where(inside[..., None], turn, 0.0), both((away < 4) | (away > 45))
+    solutions = [
+        solve(
+            Problem(
+                observed=y,
+                confidence=held,
+                stiffness=np.where(bone, stiffness, 1.0),
+                sliding=SlidingParts(inside.astype(int)),
+            ),
+            backend="cpu",
         )
         for stiffness in (np.inf, 1.0)
     ]
-    assert counts[0] <= 3 * counts[1]
+    assert {each.convergence.way for each in solutions} == {"cycles"}
+    assert len(solutions[0].energy) <= 2 * len(solutions[1].energy)
 
 
 def test_landmarks_move_the_part_of_the_nearest_site():
