@@ -110,13 +110,13 @@ def pulled_problem(
 def uncertain_problem(seed: int = 0, spacing: tuple[float, ...] = (1.0, 1.0)) -> Problem:
     """Return soft and stiff tissue with observations of random confidence."""
     dice = dice_of(seed)
-    shape = (15, 18)
+    shape = (9, 11)
     m = np.where(dice.random(shape) < 0.5, 1.0, 10.0)
-    m[7:9, 5:8] = 0
+    m[5:7, 2:5] = 0
     c = np.zeros((*shape, 2))
-    c[0] = dice.uniform(0.05, 1, (18, 2))
-    c[-1, ::2] = dice.uniform(0.05, 1, (9, 2))
-    c[4:6, 10:14, 1] = 0.5
+    c[0] = dice.uniform(0.05, 1, (11, 2))
+    c[-1, ::2] = dice.uniform(0.05, 1, (6, 2))
+    c[3:5, 6:10, 1] = 0.5
     return Problem(
         observed=dice.normal(size=(*shape, 2)), confidence=c, stiffness=m, spacing=spacing
     )

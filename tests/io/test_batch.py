@@ -1,13 +1,13 @@
 """Tests of batches: cases from a table, sweeps, failures, interruption and resuming."""
 
 import csv
-import multiprocessing
 import os
 import signal
 import sys
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -30,6 +30,7 @@ from napari_hmrf.cli import main
 from napari_hmrf.io import batch
 from napari_hmrf.io.images import ImageFile, read_image, write_image
 from napari_hmrf.io.sweeps import Change, changed
+from tests.support.killed_worker import KILLER, solve_or_end
 
 SHAPE = (24, 30)
 MATERIALS = (Material(1, "brain", 3.0), Material(2, "Tumour", 8.0), Material(3, "skull", np.inf))
@@ -329,20 +330,12 @@ def test_a_summary_contains_no_formula_and_lists_guessed_values(files, in_this_p
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs POSIX signals")
-def test_a_killed_worker_process_fails_only_its_case(files):
-    table = write_table(files, "a,image.tif,1;2;3", more=",amount:rim")
-    killed = []
-
-    def kill_once(_):
-        if not killed:
-            killed.extend(multiprocessing.active_children())
-            for each in killed:
-                each.kill()
-
-    outcomes = solve_cases(read_cases(table), files / "out", jobs=1, progress=kill_once)
-    assert [each.state for each in outcomes].count("done") == 2
-    (failed,) = [each for each in outcomes if each.state == "failed"]
-    assert f"was ended by {signal.Signals.SIGKILL.name}" in failed.error
+def test_a_killed_worker_process_fails_only_its_case():
+    cases = [SimpleNamespace(name=name) for name in ("first", KILLER, "last")]
+    with batch._processes(solve_or_end, 1) as submit:
+        outcomes = [future.result() for future in map(submit, cases)]
+    assert [each.state for each in outcomes] == ["done", "failed", "done"]
+    assert f"was ended by {signal.Signals.SIGKILL.name}" in outcomes[1].error
 
 
 def test_an_interrupted_batch_is_resumed_without_solving_finished_cases_again(

@@ -10,17 +10,8 @@ from validation.oracles.elasticity import direct_solution, stiffness_matrix
 from validation.oracles.exact import exact_field
 
 
-@pytest.mark.parametrize(
-    ("penalty", "spacing"),
-    [
-        (0.5, (2.0, 0.5)),
-        (0.05, (1.0, 1.0)),
-        pytest.param(3.0, (1.0, 1.0), marks=pytest.mark.campaign),
-        pytest.param(3.0, (2.0, 0.5), marks=pytest.mark.campaign),
-        pytest.param(0.5, (1.0, 1.0), marks=pytest.mark.campaign),
-        pytest.param(0.05, (2.0, 0.5), marks=pytest.mark.campaign),
-    ],
-)
+@pytest.mark.parametrize("spacing", [(1.0, 1.0), (2.0, 0.5)])
+@pytest.mark.parametrize("penalty", [0.05, 0.5, 3.0])
 def test_the_field_minimises_the_energy(penalty, spacing):
     problem, prior = uncertain_problem(spacing=spacing), ElasticPrior(0.4, penalty=penalty)
     found = solve(problem, prior, optimizer=Multigrid(1e-4))
@@ -132,7 +123,7 @@ def test_a_warm_start_after_a_small_edit_saves_cycles_without_changing_the_field
     assert again.iterations <= 1
 
 
-@pytest.mark.parametrize("penalty", [0.05, pytest.param(0.5, marks=pytest.mark.campaign)])
+@pytest.mark.parametrize("penalty", [0.05, 0.5])
 def test_a_warm_start_with_slipping_observations_saves_cycles(penalty):
     problem, prior = uncertain_problem(), ElasticPrior(0.4, penalty=penalty)
     cold = solve(problem, prior, optimizer=Multigrid(1e-4))

@@ -19,7 +19,7 @@ def outcome(seed, number):
 
 def test_random_problems_are_solved_on_the_cpu():
     # Of the first hundred, some whose exact solution is quick, of each energy.
-    numbers = (1, 3, 7, 9, 10, 11, 12, 13, 21, 23, 82)
+    numbers = (1, 3, 7, 9, 10, 11, 12, 13, 21, 82)
     run = campaigns.run("images", numbers)
     assert len({verdict.kinds["energy"] for _, verdict in run.verdicts}) == 8
     assert run.is_right, campaigns.report(run)
@@ -27,7 +27,7 @@ def test_random_problems_are_solved_on_the_cpu():
 
 def test_random_problems_are_solved_by_shaders():
     require_opengl()
-    run = campaigns.run("images", range(6), backend="opengl")
+    run = campaigns.run("images", range(5), backend="opengl")
     assert run.is_right, campaigns.report(run)
 
 

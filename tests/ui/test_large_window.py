@@ -105,9 +105,9 @@ def test_a_button_removes_folds_with_large_motion_and_can_be_undone(dock, do_and
 
 def test_a_button_removes_the_folds_of_a_volume_with_large_motion(frame, wait_for):
     viewer = frame.viewer
-    ball = np.linalg.norm(np.indices((9, 9, 9)) - 4, axis=0) < 2.5
+    ball = np.linalg.norm(np.indices((7, 7, 7)) - 3, axis=0) < 2.1
     viewer.add_image(np.where(ball, 0.9, 0.5), name="Head")
-    table = layer_metadata(TISSUE, (BRAIN, Material(2, "tumour", 10.0, growth=3.0)))
+    table = layer_metadata(TISSUE, (BRAIN, Material(2, "tumour", 10.0, growth=1.2)))
     viewer.add_labels(np.where(ball, 2, 1), name="Tissue", metadata=table)
     dock = frame.open()
     dock.image, dock.extent, dock.tissue = viewer.layers[0], "volume", viewer.layers[1]

@@ -117,25 +117,9 @@ def test_multigrid_matches_the_limit_of_many_icm_sweeps(reading):
     assert quick.iterations < patient.iterations / 10
 
 
-@pytest.mark.parametrize(
-    ("reading", "spacing", "penalty"),
-    [
-        ("centred", (2.0, 1.0), 0.3),
-        ("blanket", (2.0, 1.0), 30.0),
-        pytest.param("centred", (2.0, 1.0), 30.0, marks=pytest.mark.campaign),
-        pytest.param("blanket", (2.0, 1.0), 0.3, marks=pytest.mark.campaign),
-        *(
-            pytest.param(reading, spacing, penalty, marks=pytest.mark.campaign)
-            for reading in CONDITIONALS
-            for spacing, penalty in (
-                ((1.0, 1.0), 30.0),
-                ((1.0, 1.0), 3.0),
-                ((2.0, 1.0), 3.0),
-                ((1.0, 1.0), 0.3),
-            )
-        ),
-    ],
-)
+@pytest.mark.parametrize("penalty", [0.3, 3.0, 30.0])
+@pytest.mark.parametrize("spacing", [(1.0, 1.0), (2.0, 1.0)])
+@pytest.mark.parametrize("reading", CONDITIONALS)
 def test_observations_slip_where_the_force_exceeds_their_confidence(reading, spacing, penalty):
     problem = uncertain_problem(spacing=spacing)
     prior = SeilerPrior(penalty=penalty, conditional=reading)
@@ -143,7 +127,7 @@ def test_observations_slip_where_the_force_exceeds_their_confidence(reading, spa
     found = solve(problem, prior, optimizer=Multigrid(1e-4)).displacement
     assert np.abs(found - expected)[problem.tissue].max() < 2e-4
     slipped = (np.abs(expected - problem.observed) > 1e-3)[problem.confidence > 0]
-    assert 0 < slipped.sum() < slipped.size or penalty != 3.0
+    assert 0 < slipped.sum() < slipped.size
 
 
 @pytest.mark.parametrize(
