@@ -197,6 +197,16 @@ def new_dock():
 
 
 @pytest.fixture
+def without_child(monkeypatch):
+    """Read and write DICOM and HDF5 in this process, because a child takes a second to start."""
+    from napari_hmrf.io import itk_files
+
+    monkeypatch.setattr(
+        itk_files, "call_in_child", lambda _, function, *args, **options: function(*args, **options)
+    )
+
+
+@pytest.fixture
 def widget(qtbot):
     """Return the shared dock beside a viewer without a window, with fast settings."""
     return quick(_shared_dock(is_framed=False).open())

@@ -259,6 +259,7 @@ def test_the_field_of_a_result_is_exported_for_other_tools(arrows, solution, tmp
     assert 0 < np.abs(read_field(path).displacement).max() < 2.5
 
 
+@pytest.mark.usefixtures("without_child")
 def test_saving_a_field_in_napari_reports_the_error_of_its_inverse(viewer, arrows, tmp_path):
     from napari.utils.notifications import notification_manager
 

@@ -20,6 +20,8 @@ from validation.studies.damaged import make_foreign, read_all
 
 sitk = pytest.importorskip("SimpleITK")
 
+pytestmark = pytest.mark.usefixtures("child_process")
+
 
 def heap_objects(content):
     """Yield the offset of each object in the global heap of an HDF5 file."""

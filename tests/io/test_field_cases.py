@@ -251,13 +251,6 @@ REFUSED = {
 }
 
 
-@pytest.fixture
-def in_this_process(monkeypatch):
-    """Read files in this process, because a child process takes long to start."""
-    monkeypatch.setattr(itk_files, "call_in_child", lambda _, read, path: read(path))
-
-
-@pytest.mark.usefixtures("in_this_process")
 @pytest.mark.parametrize(("name", "write", "reason"), REFUSED.values(), ids=REFUSED)
 def test_an_image_is_refused_with_its_reason(tmp_path, capsys, name, write, reason):
     path = tmp_path / name
@@ -387,6 +380,7 @@ def test_the_commands_resample_on_request(tmp_path, capsys):
     assert "ct.nrrd are at right angles" in refused(command, capsys)
 
 
+@pytest.mark.usefixtures("child_process")
 def test_a_volume_is_read_in_the_order_of_its_positions_beside_other_files(tmp_path):
     folder = tmp_path / "ct"
     folder.mkdir()

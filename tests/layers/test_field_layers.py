@@ -55,6 +55,7 @@ def photo(**place):
     return Layer.create(pixels, {"name": "photo", **place}, "image")
 
 
+@pytest.mark.usefixtures("without_child")
 @pytest.mark.parametrize("ending", [".mha", ".nrrd", ".nii.gz", ".h5"])
 def test_a_field_file_is_opened_as_a_layer_at_its_place(tmp_path, ending):
     path, d = tmp_path / f"warp{ending}", swirl(SHAPE, 0.5)

@@ -270,7 +270,7 @@ def test_a_warning_reports_motion_that_the_large_motion_model_could_not_apply(
     dock, viewer, do_and_wait
 ):
     ring = np.where(DISC, 1, 0)
-    rules = (BoundaryRule(1, "expand", amount=14.0, name="rim"),)
+    rules = (BoundaryRule(1, "expand", amount=20.0, name="rim"),)
     layer = viewer.add_labels(ring, name="Rim", metadata=layer_metadata(BOUNDARY, rules))
     dock.model, dock.boundary, dock.hold_edge = "large motion", layer, True
     solution = do_and_wait(dock.schedule_refresh)
