@@ -64,7 +64,7 @@ def gap(arrow: Arrow, solution: Solution) -> float:
             id="image",
             marks=pytest.mark.campaign,
         ),
-        pytest.param(10, ((2, 5, 6), 1.5, (0, 0, 9)), ((7, 5, 3), 1.5, (0, 0, 3.0)), id="volume"),
+        pytest.param(8, ((2, 4, 5), 1, (0, 0, 7)), ((5, 4, 2), 1, (0, 0, 2.0)), id="volume"),
     ],
 )
 def test_an_arrow_that_cannot_be_met_keeps_no_other_from_its_target(size, blocked, free):
