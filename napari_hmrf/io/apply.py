@@ -277,7 +277,8 @@ def apply_field(
         )
     if n == image.ndim:
         image.refuse_elsewhere(field.in_patient, name, "the field")
-        _refuse_other_size(field, image, name)
+        if not image.resolution:  # --spacing may have replaced it
+            _refuse_other_size(field, image, name)
     note = ""
     if n == image.ndim:
         moved = _warp_pixels(field, pixels, order)

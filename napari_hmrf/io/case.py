@@ -101,7 +101,11 @@ def read_case(case: Case) -> Study:
     if case.maps:
         labels, scale = _most_likely(case, whole)
     materials, unit, notes = _materials(case.materials, labels)
-    notes = (*filter(None, [whole.resampled]), *notes, *filter(None, [scale_in_words(scale)]))
+    notes = (
+        *filter(None, [whole.resampled, whole.resolution]),
+        *notes,
+        *filter(None, [scale_in_words(scale)]),
+    )
     motion = replace(
         _motion(case, grid, whole),
         hold_edge=case.hold_edge,

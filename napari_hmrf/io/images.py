@@ -37,6 +37,10 @@ _NO_SPACE, _OME_UNIT = {"C": "channels", "T": "times"}, "µm"
 _PIXELS = ("pixel", "pixels", "px")
 #: Units of length in .tif files, which have several names there.
 _UNITS = ("µm", "nm", "mm", "cm", "inch")
+#: Units of the resolution of a .tif by the value of its tag; the others are no lengths.
+_RESOLUTIONS = {2: "inch", 3: "cm"}
+#: Resolution that programs write for no reason, and that ImageJ therefore ignores, per inch.
+_NO_RESOLUTION = 72
 #: Types of pixels in files of ImageJ.
 _IMAGEJ = ("uint8", "uint16", "float32")
 #: Suffixes of .tif files, and of all pictures.
@@ -74,6 +78,9 @@ class ImageFile(NamedTuple):
         Axis of the file for each axis of the volume, if its axes were reordered.
     resampled : str
         Note, a clause, on the grid to which the pixels were resampled; "" for those of the file.
+    resolution : str
+        Note, a clause, on `sizes` from the resolution of a .tif, which may be that of a print; ""
+        if they are stated as sizes, or unknown.
     """
 
     pixels: npt.NDArray[Any]
@@ -84,6 +91,7 @@ class ImageFile(NamedTuple):
     unit: str = "pixel"
     order: tuple[int, ...] = ()
     resampled: str = ""
+    resolution: str = ""
 
     @property
     def pixels_in_place(self) -> npt.NDArray[Any]:
@@ -490,7 +498,14 @@ def _read_tiff(source: Path) -> ImageFile:
         pixels, axes = np.asarray(first.asarray()), first.axes
         colours = axes.endswith("S") and pixels.shape[-1] in (3, 4)
         sizes, unit = _pixel_size(file, axes)
-        return ImageFile(pixels, None, colours, _NO_SPACE.get(axes[0], ""), sizes, unit)
+        image = ImageFile(pixels, None, colours, _NO_SPACE.get(axes[0], ""), sizes, unit)
+        if not sizes or file.ome_metadata or file.imagej_metadata:
+            return image
+        return image._replace(
+            resolution=f"the resolution of {source.name} is read as pixels of "
+            f"{grid_in_words(sizes[-2:])} {unit}, as in Fiji: give --spacing if it is that of a "
+            "print or screen"
+        )
 
 
 def axes_of_tiff(path: str | os.PathLike[str]) -> tuple[tuple[str, ...], tuple[float, ...], str]:
@@ -518,14 +533,14 @@ def axes_of_tiff(path: str | os.PathLike[str]) -> tuple[tuple[str, ...], tuple[f
 
 
 def _pixel_size(file: Any, axes: str) -> tuple[tuple[float, ...], str]:
-    """Return the size of a pixel as ImageJ or OME store it; see `axes_of_tiff`."""
+    """Return the size of a pixel as ImageJ reads it, or as OME stores it; see `axes_of_tiff`."""
     with suppress(KeyError, TypeError, ValueError, ArithmeticError):  # invalid metadata
         if file.ome_metadata:
             sizes, unit = _ome_size(file)
         elif file.imagej_metadata:
             sizes, unit = _imagej_size(file)
         else:
-            return (), "pixel"
+            sizes, unit = _resolution(file)
         if min(sizes["Y"], sizes["X"]) > 0 and (unit != "pixel" or sizes["Z"] != 1):
             sides = tuple(sizes.get(axis, 1.0) for axis in axes.rstrip("S"))
             return sides, length_unit(unit)
@@ -557,8 +572,8 @@ def read_picture_as(
     Raises
     ------
     HmrfError
-        If the file states the size of its pixels, or has another number of axes; or as for
-        `read_image`.
+        If the file states the size of its pixels, other than as a resolution, or has another number
+        of axes; or as for `read_image`.
     OSError
         If the file cannot be opened.
     """
@@ -566,14 +581,15 @@ def read_picture_as(
     if spacing is None:
         return image
     sizes, unit = spacing
-    if image.geometry is not None or (image.sizes and 0.0 not in image.sizes):
+    is_stated = image.sizes and 0.0 not in image.sizes and not image.resolution
+    if image.geometry is not None or is_stated:
         raise HmrfError(f"{name} states the size of its pixels. Leave out --spacing.")
     if len(sizes) != image.ndim:
         raise HmrfError(
             f"--spacing has {len(sizes)} sizes, but {name} has {image.ndim} axes. Give one size "
             "for each axis."
         )
-    return image._replace(sizes=sizes, unit=unit)
+    return image._replace(sizes=sizes, unit=unit, resolution="")
 
 
 def _ome_size(file: Any) -> tuple[dict[str, float], str]:
@@ -595,10 +611,22 @@ def _imagej_size(file: Any) -> tuple[dict[str, float], str]:
     sizes = {"Z": float(stated.get("spacing", 1.0)), "Y": 1.0, "X": 1.0}
     if length_unit(unit) == "pixel":
         return sizes, "pixel"
-    for axis in "YX":
-        above, below = tags[f"{axis}Resolution"].value
-        sizes[axis] = below / above
-    return sizes, unit
+    return sizes | _sides(tags), unit
+
+
+def _resolution(file: Any) -> tuple[dict[str, float], str]:
+    """Return the size of a pixel from the resolution of a .tif of another program than ImageJ."""
+    tags = file.pages[0].tags
+    unit, sides = _RESOLUTIONS.get(tags["ResolutionUnit"].value, "pixel"), _sides(tags)
+    if unit == "pixel" or (unit == "inch" and sides["X"] == 1 / _NO_RESOLUTION):
+        return {"Z": 1.0, **sides}, "pixel"
+    return {**dict.fromkeys("ZQI", 0.0), **sides}, unit  # the distance of pages is unknown
+
+
+def _sides(tags: Any) -> dict[str, float]:
+    """Return the inverse of the resolution of a .tif along its rows and columns."""
+    stated = {axis: tags[f"{axis}Resolution"].value for axis in "YX"}
+    return {axis: below / above for axis, (above, below) in stated.items()}
 
 
 def _encode(target: Path, image: ImageFile, suffix: str) -> bytes:

@@ -367,7 +367,7 @@ def relative_place(
                 names[1],
                 f"has pixels of {grid_in_words(moving.spacing)} {moving.unit}, but those of "
                 f"{names[0]} are {grid_in_words(grid.spacing)} {grid.unit}. Save both images with "
-                "the size of a pixel, in the same unit.",
+                "the size of a pixel, in the same unit, or give --spacing.",
             )
         return np.eye(n + 1), ()
     if unit_factor(moving.unit, grid.unit) != 1:

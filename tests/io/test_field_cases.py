@@ -28,7 +28,7 @@ from napari_hmrf.io.case import as_labels, read_case
 from napari_hmrf.io.case_options import Case
 from napari_hmrf.io.decoded import Unreadable
 from napari_hmrf.io.dicom_slices import tilted_step
-from napari_hmrf.io.images import is_scan, read_image, write_image
+from napari_hmrf.io.images import axes_of_tiff, is_scan, read_image, write_image
 from napari_hmrf.io.landmark_files import is_landmark_file
 from napari_hmrf.io.registration_files import relative_place
 from napari_hmrf.io.segmentation_tables import read_label_names
@@ -563,6 +563,43 @@ def test_the_calibration_of_a_tif_counts(tmp_path, monkeypatch, axes, sizes, uni
         study_from_layers(request)
     layer.scale, layer.units = sizes, (read_as,) * n
     assert study_from_layers(request).grid.spacing == pytest.approx(sizes)
+
+
+@pytest.mark.parametrize(
+    ("resolution", "per", "read_as"),
+    [
+        ((20000, 10000), "CENTIMETER", ((1e-4, 5e-5), "cm")),
+        ((300, 300), "INCH", ((1 / 300, 1 / 300), "inch")),
+        ((72, 72), "INCH", ((), "pixel")),
+        ((0, 0), "INCH", ((), "pixel")),
+        ((3, 3), "NONE", ((), "pixel")),
+    ],
+)
+def test_the_resolution_of_a_tif_is_read_as_in_fiji(tmp_path, resolution, per, read_as):
+    path, stack = tmp_path / "a.tif", np.ones((4, 8, 9), np.uint8)
+    how = {"resolution": resolution, "resolutionunit": per, "photometric": "minisblack"}
+    tifffile.imwrite(path, stack[0], **how)
+    image = read_image(path)
+    assert (image.sizes, image.unit) == (pytest.approx(read_as[0]), read_as[1])
+    assert bool(image.resolution) == bool(read_as[0])
+    assert axes_of_tiff(path)[1:] == (image.sizes, image.unit)
+    tifffile.imwrite(path, stack, **how)
+    if read_as[0]:
+        with pytest.raises(ProblemError, match="not the distance of its slices"):
+            read_image(path).refuse_as_volume("a.tif")
+
+
+def test_a_resolution_counts_for_landmarks_and_may_be_replaced(tmp_path):
+    path, marks = tmp_path / "a.tif", tmp_path / "marks.csv"
+    tifffile.imwrite(path, np.ones((8, 9), np.uint8), resolution=(300, 300), resolutionunit="INCH")
+    for size, spacing in ((1 / 300, None), (0.5, ((0.5, 0.5), "um"))):
+        marks.write_text(f"a,true,{5 * size},{2 * size},{6 * size},{2 * size}\n")
+        study = read_case(Case(path, boundary=marks, spacing=spacing))
+        (mark,) = study.motion.drawing.marks
+        np.testing.assert_allclose((mark.source, mark.target), ((2, 5), (2, 6)))
+        assert any("resolution of a.tif" in note for note in study.notes) == (spacing is None)
+    field = FieldFile.of(solution_of(np.zeros((8, 9, 2), np.float32), None, (0.5, 0.5)))
+    apply_field(field, path, tmp_path / "moved.tif", labels=False)
 
 
 def test_a_picture_without_a_pixel_size_can_be_given_one(tmp_path, capsys):
