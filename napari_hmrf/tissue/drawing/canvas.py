@@ -10,7 +10,7 @@ from collections.abc import Iterable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 import numpy.typing as npt
@@ -128,6 +128,9 @@ def box_of(mark: Mark, spacing: Sequence[float], whole: Box) -> Box:
     reach = [brush_reach(mark.radius, spacing) / size for size in spacing]
     points = np.array([point for line in mark.lines for point in line])
     low, high = points.min(axis=0) - reach, points.max(axis=0) + reach
+    if _moves_its_corners(mark):
+        low = np.minimum(low, np.floor(mark.source))
+        high = np.maximum(high, np.ceil(mark.source))
     sides = []
     for first, last, side in zip(low, high, whole, strict=True):
         begin = max(math.ceil(first), side.start)
@@ -163,11 +166,14 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
     box = box_of(mark, canvas.spacing, window)
     if is_empty(box) or not is_painted(mark):
         return
+    point = mark.source if _moves_its_corners(mark) else None
     if isinstance(mark, Landmark):
         mark = mark.arrow(canvas.spacing)
     distance = distance_to(mark.lines, mark.radius, canvas.spacing, box)
     reach = brush_reach(mark.radius, canvas.spacing)
     where = distance <= reach
+    if point is not None:
+        where |= _free_corners(point, canvas, box)
     components = COMPONENTS[mark.components]
     y, c = canvas.observed[box][..., components], canvas.confidence[box][..., components]
     if isinstance(mark, Arrow) or mark.action not in ("confidence", "tissue", "remove"):
@@ -214,6 +220,28 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
         kinds[where] = 0
     elif mark.action != "confidence":  # confidence does not change the kind
         kinds[where] = KINDS[mark.action]
+
+
+def _moves_its_corners(mark: Mark) -> TypeGuard[Landmark]:
+    """Return whether a mark moves all pixels around its point by the same displacement."""
+    return isinstance(mark, Landmark) and mark.motion is None and not grows(mark)
+
+
+def _free_corners(point: Point, canvas: Canvas, box: Box) -> npt.NDArray[np.bool_]:
+    """Return a mask of the pixels between which a point lies, without those that a mark holds.
+
+    If these pixels move with a landmark, so does the point between them, also where its patch is
+    smaller than the distance of the slices.
+    """
+    corners = np.zeros([side.stop - side.start for side in box], np.bool_)
+    ends = [
+        [at - side.start for at in {math.floor(x), math.ceil(x)} if side.start <= at < side.stop]
+        for x, side in zip(point, box, strict=True)
+    ]
+    corners[np.ix_(*ends)] = True
+    is_held = (canvas.confidence[box] > 0).any(axis=-1) | (canvas.slides[box] != 0)
+    free: npt.NDArray[np.bool_] = corners & ~is_held
+    return free
 
 
 def _steps(mark: Arrow | Stroke, box: Box, where: npt.NDArray[np.bool_]) -> FloatArray:

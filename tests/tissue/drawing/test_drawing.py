@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.ndimage import map_coordinates
 
 from napari_hmrf import ArgumentError, ElasticPrior, Problem, ProblemError, solve
 from napari_hmrf.field.strain import count_folds
@@ -139,6 +140,28 @@ def test_a_later_mark_covers_an_earlier_mark():
 def test_a_landmark_moves_its_source_to_its_target():
     drawn = Drawing((Landmark((4, 5), (6, 2), radius=0.5),)).render(Canvas.blank((9, 9), (0.5, 2)))
     assert tuple(drawn.observed[4, 5]) == (1.0, -6.0)
+
+
+@pytest.mark.parametrize("source", [(3.3, 9.7, 10.2), (3.0, 9.0, 10.0), (6.9, 0.2, 18.9)])
+def test_a_landmark_between_slices_moves_as_far_as_asked(source):
+    """The displacement is interpolated between slices that are further apart than the patch."""
+    target = tuple(at + by for at, by in zip(source, (0.5, 2.0, -1.0), strict=True))
+    blank = Canvas.blank((8, 20, 20), (3.0, 0.5, 0.5))
+    drawn = Drawing((Landmark(source, target, radius=0.5),)).render(blank)
+    moved = [
+        map_coordinates(drawn.observed[..., axis], np.reshape(source, (3, 1)), order=1).item()
+        for axis in range(3)
+    ]
+    assert moved == pytest.approx((1.5, 1.0, -0.5), rel=1e-6)
+
+
+def test_a_landmark_between_slices_moves_no_pixel_of_an_earlier_landmark():
+    blank = Canvas.blank((4, 9, 9), (3.0, 1.0, 1.0))
+    marks = Landmark((1, 4, 4), (2, 4, 4), 1.0), Landmark((1.6, 4, 4), (1.6, 4, 5), 1.0)
+    alone, both = (Drawing(marks[:count]).render(blank) for count in (1, 2))
+    held = (alone.confidence > 0).any(axis=-1)
+    np.testing.assert_array_equal(both.observed[held], alone.observed[held])
+    assert tuple(both.observed[2, 4, 4]) == (0, 0, 1)
 
 
 def test_brushes_pin_free_and_move_the_painted_pixels():
