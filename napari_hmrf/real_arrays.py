@@ -158,6 +158,12 @@ def grid_in_words(sizes: Iterable[float]) -> str:
     return " x ".join(f"{size:g}" for size in sizes)
 
 
+def sites_in_words(count: int, ndim: int) -> str:
+    """Format a number of pixels or, with three axes, of voxels for display: "1 pixel"."""
+    site = "voxel" if ndim == 3 else "pixel"
+    return f"{count} {site}" if count == 1 else f"{count} {site}s"
+
+
 def checked_spacing(spacing: object, ndim: int) -> tuple[float, ...]:
     """Return the validated pixel size along `ndim` axes; a number applies to all axes."""
     values = reals((spacing,) * ndim if isinstance(spacing, Real) else spacing, ndim)

@@ -1,6 +1,7 @@
 """Tests of the contributions in the napari manifest."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from napari.components import ViewerModel
 from napari.layers import Image, Labels, Layer
 from npe2 import PluginManager, PluginManifest
 
+import napari_hmrf
 from napari_hmrf import ElasticPrior, Multigrid, Problem, SeilerPrior, solve
 from napari_hmrf.contributions import (
     open_landmarks,
@@ -271,6 +273,16 @@ def test_saving_a_field_in_napari_reports_the_error_of_its_inverse(viewer, arrow
     viewer.layers.clear()
     (layer,) = viewer.open(path, plugin="napari-hmrf")
     assert np.abs(layer.data[:, 1]).max() > 0.5, "the saved field has no motion when it is opened"
+
+
+@pytest.mark.parametrize(
+    ("name", "is_offered"), [("DICOMDIR", True), ("dicomdir", True), ("notes", False)]
+)
+def test_a_table_of_contents_of_dicom_is_given_to_the_reader_of_scans(tmp_path, name, is_offered):
+    plugins = PluginManager()
+    plugins.register(PluginManifest.from_file(Path(napari_hmrf.__file__).parent / "napari.yaml"))
+    found = plugins.iter_compatible_readers([str(tmp_path / name)])
+    assert ("napari-hmrf.open_scan" in {each.command for each in found}) == is_offered
 
 
 def test_a_scan_is_opened_at_its_place_in_the_patient(tmp_path):

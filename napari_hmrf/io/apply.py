@@ -30,7 +30,7 @@ from napari_hmrf.io.landmark_files import (
 )
 from napari_hmrf.io.landmark_frames import geometry_for, refuse_stored_axes
 from napari_hmrf.io.study_file import is_study_file, read_solved
-from napari_hmrf.real_arrays import grid_in_words, whole_numbers
+from napari_hmrf.real_arrays import grid_in_words, sites_in_words, whole_numbers
 from napari_hmrf.results.observation import PixelField
 from napari_hmrf.solver.solution import Solution, is_solution_file
 
@@ -203,9 +203,9 @@ def write_field_file(
     sentence += place_note
     if not folded:
         return sentence
-    sites = "voxels" if len(field.shape) == 3 else "pixels"
+    sites = sites_in_words(folded, len(field.shape))
     return (
-        f"{sentence} However, the tissue folds over itself at {folded} {sites}, where no inverse "
+        f"{sentence} However, the tissue folds over itself at {sites}, where no inverse "
         "exists: the image will show only one of the overlapping parts. Reduce the motion there."
     )
 

@@ -24,6 +24,7 @@ from napari_hmrf.io.case_options import Case
 from napari_hmrf.io.fields import geometry_of
 from napari_hmrf.io.images import (
     ImageFile,
+    is_segmentation,
     read_image,
     read_picture_as,
     result_suffix,
@@ -64,6 +65,8 @@ from napari_hmrf.tissue.material_presets import Preset
 from napari_hmrf.tissue.tissue_maps import MapRange, most_likely, scale_in_words, scale_of
 from napari_hmrf.tissue.usual_lengths import largest_spread, usual_radius
 
+#: Remedy for a segmentation of another size: 3D Slicer crops it to its segments.
+_OF_SLICER = ": export it in 3D Slicer as a labelmap, with this image as the reference volume"
 #: Number of distinct values, and share of pixels that differ from the next pixel in the row, above
 #: which an image is not accepted as labels. The share is 40 % to 90 % in photographs, and at most
 #: 10 % in label images.
@@ -471,7 +474,7 @@ def _on_pixels(case: Case, path: Path, whole: ImageFile, image: ImageFile) -> np
         raise ProblemError(
             path.name,
             f"is {grid_in_words(pixels.shape)}, but the image is {grid_in_words(shape)}. Give a "
-            "file of the same size.",
+            f"file of the same size{_OF_SLICER if is_segmentation(path) else ''}.",
         )
     image.refuse_elsewhere(reference.geometry, path.name, "the image")
     return pixels
@@ -574,8 +577,8 @@ def _landmarks(case: Case, path: Path, grid: Grid, whole: ImageFile) -> Drawing:
         raise ProblemError(
             path.name,
             f"has {outside} of {len(sources)} landmarks outside the image. Check that the "
-            f"coordinates are in {unit_symbol(grid.unit)} along the axes of "
-            f"{case.image.name}, and remove landmarks outside the image.",
+            f"coordinates have the unit of {case.image.name} ({unit_symbol(grid.unit)}) and are "
+            "along its axes, and remove landmarks outside the image.",
         )
     most = largest_spread(grid.shape, grid.spacing)
     if file.sd is not None and (file.sd > most).any():

@@ -291,7 +291,7 @@ def read_image(
             raise FileFormatError(f"{source.name}: {reason}.") from None
         raise _unreadable(source, str(error)) from error
     n, count, pixels = image.ndim, image.components, image.pixels
-    if count > 1 and source.name.lower().endswith(_SEGMENTS):
+    if count > 1 and is_segmentation(source):
         raise FileFormatError(
             f"{source.name}: the segmentation has {count} layers, because segments overlap. Export "
             "it in 3D Slicer as a labelmap, in which every voxel has one label."
@@ -402,6 +402,11 @@ def result_suffix(path: str | os.PathLike[str]) -> str:
     return next((each for each in _WRITTEN if name.endswith(each)), ".nrrd")
 
 
+def is_segmentation(path: str | os.PathLike[str]) -> bool:
+    """Return whether a path has the suffix of a segmentation of 3D Slicer."""
+    return Path(path).name.lower().endswith(_SEGMENTS)
+
+
 def is_scan(path: str | os.PathLike[str]) -> bool:
     """Return whether a path has the suffix of a medical image, or is a folder with DICOM files.
 
@@ -467,7 +472,8 @@ def _read_picture(source: Path) -> ImageFile:
         )
     if image.ndim not in (2, 3):
         raise FileFormatError(
-            f"{source.name}: the image has shape {pixels.shape}. Give an image with 2 or 3 axes."
+            f"{source.name}: the image has shape {pixels.shape}. Give an image with 2 or 3 axes: "
+            "of several channels or times, save one, in Fiji by Image > Duplicate."
         )
     if not is_length(image.unit):
         raise FileFormatError(

@@ -31,7 +31,7 @@ from napari_hmrf.io.landmark_frames import in_pixels
 from napari_hmrf.io.overwriting import refuse_overwriting
 from napari_hmrf.io.study_file import is_study_file, write_study
 from napari_hmrf.io.sweeps import with_ratio
-from napari_hmrf.real_arrays import grid_in_words
+from napari_hmrf.real_arrays import grid_in_words, sites_in_words
 from napari_hmrf.registration.alignment import align
 from napari_hmrf.registration.register import register
 from napari_hmrf.registration.result import Registration
@@ -504,7 +504,8 @@ def _notes_on(
     """Return notes on folds, and on the difference between the study and the registration."""
     notes = []
     if found.folds:
-        notes.append(f"the tissue folds over itself at {found.folds} sites")
+        sites = sites_in_words(found.folds, solution.tissue.ndim)
+        notes.append(f"the tissue folds over itself at {sites}")
     difference = np.abs(found.displacement - solution.displacement) / np.asarray(solution.spacing)
     if (apart := float(difference[solution.tissue].max(initial=0))) > _APART:
         reason = ""

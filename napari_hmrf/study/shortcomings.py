@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.notes import Note
+from napari_hmrf.real_arrays import sites_in_words
 from napari_hmrf.solver.caveats import shortfall, touching
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
@@ -34,9 +35,9 @@ def shortcomings(
     str
     """
     if folds:
-        sites = "voxels" if solution.tissue.ndim == 3 else "pixels"
+        sites = sites_in_words(folds, solution.tissue.ndim)
         yield Note(
-            f"the tissue folds over itself at {folds} {sites}, which is impossible: move it less",
+            f"the tissue folds over itself at {sites}, which is impossible: move it less",
             kind=FOLDS,
         )
     # `unit_symbol` imports pint, which is slow, so call it for large motion only.

@@ -10,6 +10,7 @@ from napari_hmrf.field.deformation import magnitude
 from napari_hmrf.field.units import as_seen, unit_symbol
 from napari_hmrf.layers.result_layers import CompleteResult, Outputs
 from napari_hmrf.notes import Note, kind_of, short_of
+from napari_hmrf.real_arrays import sites_in_words
 from napari_hmrf.results.animation import MARKS, Mark
 from napari_hmrf.solver import live_solver
 from napari_hmrf.solver.caveats import LOOSE
@@ -167,9 +168,11 @@ def _short_of_target(reach: Reach | None, unit: str) -> str:
 
 def warnings_of(done: CompleteResult, overlay: str) -> tuple[str, str]:
     """Return the warnings of a result, and the label of the chip while `overlay` is shown."""
-    sites = "voxels" if len(done.moved.study.grid.shape) == 3 else "pixels"
-    counts = marks_of(done.outputs)
-    parts = [f"Warning: at {number} {sites} {_WARNINGS[mark]}" for mark, number in counts.items()]
+    counts, ndim = marks_of(done.outputs), len(done.moved.study.grid.shape)
+    parts = [
+        f"Warning: at {sites_in_words(number, ndim)} {_WARNINGS[mark]}"
+        for mark, number in counts.items()
+    ]
     if "folds" in counts and uncertain_landmarks(done.moved.study.motion.drawing):
         parts.append(_UNSURE_FOLDS)
     parts += map(_sentence, done.notes)

@@ -246,6 +246,7 @@ REFUSED = {
     ),
     "layers": ("a.seg.nrrd", write_layers, "2 layers"),
     "channels": ("a.tif", lambda p: write_tiff(p, "CYX"), "3 channels"),
+    "a hyperstack": ("a.tif", lambda p: write_tiff(p, "ZCYX"), "Image > Duplicate"),
     "times": ("a.tif", lambda p: write_tiff(p, "TYX"), "3 times"),
     "another unit": ("a.tif", lambda p: write_tiff(p, "YX", (0.5, 0.5), "foo"), "unit of length"),
 }
@@ -598,6 +599,9 @@ def test_a_resolution_counts_for_landmarks_and_may_be_replaced(tmp_path):
         (mark,) = study.motion.drawing.marks
         np.testing.assert_allclose((mark.source, mark.target), ((2, 5), (2, 6)))
         assert any("resolution of a.tif" in note for note in study.notes) == (spacing is None)
+    marks.write_text("a,true,5,2,6,2\n")
+    with pytest.raises(ProblemError, match=r"have the unit of a\.tif \(in\)"):
+        read_case(Case(path, boundary=marks))
     field = FieldFile.of(solution_of(np.zeros((8, 9, 2), np.float32), None, (0.5, 0.5)))
     apply_field(field, path, tmp_path / "moved.tif", labels=False)
 
@@ -653,6 +657,14 @@ def test_pictures_with_pixels_of_different_units_are_not_compared(tmp_path):
     with pytest.raises(ProblemError) as error:
         relative_place(("one.tif", "other.tif"), *studies)
     assert error.value.field == "other.tif"
+
+
+def test_a_segmentation_that_slicer_has_cropped_is_refused_with_a_remedy(tmp_path):
+    image, labels = tmp_path / "a.nrrd", tmp_path / "b.seg.nrrd"
+    for path, shape in ((image, (4, 6, 7)), (labels, (4, 5, 7))):
+        sitk.WriteImage(sitk.GetImageFromArray(np.ones(shape, np.uint8)), str(path))
+    with pytest.raises(ProblemError, match="same size: export it in 3D Slicer as a labelmap"):
+        read_case(Case(image, labels=labels))
 
 
 @pytest.mark.parametrize("unit", ["mm", "um", "m", ["mm", "UCUM", "millimeter"]])

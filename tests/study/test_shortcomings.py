@@ -1,8 +1,10 @@
 """Notes on the shortcomings of a result, in Python, in the shell and in the window."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from napari_hmrf import Arrow, BoundaryRule, Drawing, Grid, Motion, Study, Tissue, solve_study
 from napari_hmrf.cases import Case
@@ -10,6 +12,7 @@ from napari_hmrf.io.case import solve_case
 from napari_hmrf.io.study_file import replay, write_study
 from napari_hmrf.solver.caveats import shortfall
 from napari_hmrf.solver.optimizers.base import Reach
+from napari_hmrf.study.shortcomings import shortcomings
 from napari_hmrf.ui.window_words import in_window_words
 from napari_hmrf.wording import in_shell_words
 
@@ -37,6 +40,15 @@ def test_a_note_counts_the_folded_pixels(tmp_path):
     assert said in replay(path).notes
     solved = solve_case(Case(image=path), tmp_path / "out", backend="cpu")
     assert notes_with(solved.notes, "folds over itself") == [said]
+
+
+@pytest.mark.parametrize(
+    ("shape", "folds", "words"),
+    [(SHAPE, 1, "1 pixel,"), ((4, 5, 6), 1, "1 voxel,"), (SHAPE, 2, "2 pixels,")],
+)
+def test_one_folded_pixel_is_not_several(shape, folds, words):
+    solution = SimpleNamespace(tissue=np.ones(shape), reach=None)
+    assert f"at {words}" in next(shortcomings(solution, "mm", folds))
 
 
 def test_a_pull_that_touches_held_tissue_is_named_as_the_cause():
