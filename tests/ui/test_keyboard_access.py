@@ -48,11 +48,7 @@ def dock(frame, small_sample, at_rest):
     made = quick(frame.open())
     frame.show()
     open_sections(made)
-    window = made.native.window()
-    window.resize(*_SIZE)
-    # The frame may not get the keyboard of the screen after windows of other tests.
-    QApplication.setActiveWindow(window)
-    assert window.isActiveWindow()
+    made.native.window().resize(*_SIZE)
     at_rest.until(lambda: not made.busy)
     return made
 
@@ -78,6 +74,9 @@ def controls_of(dock):
 
 def walk(dock):
     """Press Tab until the focus has gone around the dock; return the controls that had it."""
+    # The window may not get the keyboard of the screen, or lose it when the screen notices that a
+    # window of an earlier test is closed. Until the walk ends, no event of the screen is processed.
+    QApplication.setActiveWindow(dock.native.window())
     image = dock.native.findChild(QComboBox)
     image.setFocus(Qt.FocusReason.TabFocusReason)
     stops = []
