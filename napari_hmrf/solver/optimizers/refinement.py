@@ -9,6 +9,7 @@ Otherwise, or if the iteration stalls, the system is factorized.
 from __future__ import annotations
 
 import math
+from enum import Enum, auto
 from functools import partial
 from typing import Any
 
@@ -83,6 +84,14 @@ _STALLED = 1e-7
 
 class _SlowMotionError(Exception):
     """Signal raised when cycles find a slow motion, which does not occur in mild tissue."""
+
+
+class _Interrupted(Enum):
+    """Reason for which cycles end without a step."""
+
+    SLOW = auto()
+    INDEFINITE = auto()
+    IDLE = auto()
 
 
 class Refinement:
@@ -207,80 +216,27 @@ class Refinement:
 
     def _iterate(self, d: Planes, load: Planes | None, tolerance: float, balance: Balance) -> bool:
         """Reduce the error by cycles; return whether it is reliably within the tolerance."""
-        earlier, before = self._model.earlier, math.inf
-        self._mild = self._mild and not earlier.slow
-        # A slow motion stops only the first iteration, before `d` has changed.
+        if not self._prepare():
+            return False
+        if self._needs_rehearsal:
+            self._rehearse(d.shape)
+            balance = self._model.balance(d, load)  # the rehearsal overwrote the residual
+        if not self._trust():
+            return False
+        margin, before = self._choose_margin(), math.inf
+        # A slow motion stops only the first run, before `d` has changed.
         watch = self._mild and len(self._model.shape) == 2
-        if not self._mild and self._factors_first and factors_fit(self._model):
-            self._factors_tried = True
-            return False
-        if not self._deflate_bodies():
-            return False
-        while self._iteration.care < earlier.care:
-            self._iteration.take_care()
-        if earlier.underestimate is None and self._model.iterates:
-            if self._underestimate is None:
-                self._underestimate = 1.0
-                if not self._mild:
-                    self._underestimate = self._rehearse(d.shape)
-                    while self._underestimate > self._believable and self._take_care():
-                        self._underestimate = self._rehearse(d.shape)
-                    balance = self._model.balance(d, load)  # the rehearsal overwrote the residual
-            earlier.underestimate = self._underestimate
-            earlier.least = self._iteration.least
-            earlier.care = self._iteration.care
-        if earlier.underestimate is None or earlier.underestimate > self._believable:
-            return False
-        self._iteration.least = min(self._iteration.least, earlier.least)
-        if self._start_quality is not None:
-            self._iteration.expect(self._start_quality.least)
-        model, volume = self._model, len(self._model.shape) == 3
-        moves = earlier.deflation
-        # Cycles find every motion of a single body, but may miss relative motions of close bodies.
-        sees_bodies = model.bodies is None or (moves is not None and not moves.close)
-        sure = self._mild and not volume and model.material.compressible and sees_bodies
-        is_gapped = not volume and _is_gapped(model)
-        self._iteration.unseen = _UNSEEN if is_gapped else 1.0
-        doubt = _GAP_MARGIN if is_gapped and self._mild else _LEAST_MARGIN
-        if not sure:
-            doubt = max(_MARGIN * earlier.underestimate, _MARGIN if volume else doubt)
-        if volume and not self._mild:
-            doubt *= _VOLUME_MARGIN
-        if moves is not None and moves.close:
-            doubt *= _MARGIN
-        if self._start_quality is not None and not sure:
-            doubt *= _WARM_MARGIN
         while True:
-            step: Step | None = None
-
-            def enough(latest: Step, unit: float = balance.unit, watch: bool = watch) -> bool:
-                nonlocal step
-                step = latest
-                self._gains.append(unit**2 * latest.gain)
-                error = unit * max(doubt * latest.error, _LEAST_MARGIN * latest.worst_error)
-                self._report_cycle(error, tolerance)
-                if watch and self._is_slow:
-                    raise _SlowMotionError
-                return error <= tolerance or self._too_long
-
-            try:
-                self._iteration.run(balance, d, enough)
-            except _SlowMotionError:
+            end = self._run_cycles(d, balance, tolerance, margin, watch)
+            if end is _Interrupted.SLOW:
                 return self._begin_again(d, load, tolerance)
-            except FloatingPointError:
-                if not self._take_care():
-                    return False
+            if end is _Interrupted.INDEFINITE and self._take_care():
                 balance = self._model.balance(d, load)
                 continue
-            if step is None:
+            if isinstance(end, _Interrupted):
                 return False
-            watch = False
-            balance = self._model.balance(d, load, balance.most)
-            self.residual = balance.norm
-            self.estimate = doubt * step.reach * self.residual
-            if earlier.deflation is not None:
-                self.estimate += earlier.deflation.remaining_distance(balance.rest) * balance.unit
-            worst = max(self.estimate, _LEAST_MARGIN * step.worst_reach * self.residual)
+            balance, watch = self._model.balance(d, load, balance.most), False
+            worst = self._estimate_error(balance, end, margin)
             if worst <= tolerance:
                 self.error = self.estimate
                 self.estimate = min(max(self.estimate, self._least_error()), tolerance)
@@ -288,8 +244,104 @@ class Refinement:
             stays = not worst < 0.5 * before
             if self._too_long or (stays and not self._take_care()):
                 return False
-            earlier.care = self._iteration.care
-            before = worst
+            self._model.earlier.care, before = self._iteration.care, worst
+
+    def _prepare(self) -> bool:
+        """Prepare the iteration for rigid bodies; return whether cycles are worth a try."""
+        earlier = self._model.earlier
+        self._mild = self._mild and not earlier.slow
+        if not self._mild and self._factors_first and factors_fit(self._model):
+            self._factors_tried = True
+            return False
+        if not self._deflate_bodies():
+            return False
+        while self._iteration.care < earlier.care:
+            self._iteration.take_care()
+        return True
+
+    @property
+    def _needs_rehearsal(self) -> bool:
+        """True if no trial run has yet shown how reliable the error estimate of cycles is."""
+        known = self._model.earlier.underestimate is not None or self._underestimate is not None
+        return not (known or self._mild) and self._model.iterates
+
+    def _rehearse(self, shape: tuple[int, ...]) -> None:
+        """Measure the error estimate in trial runs, with more care until it is believable."""
+        self._underestimate = self._rehearsed_ratio(shape)
+        while self._underestimate > self._believable and self._take_care():
+            self._underestimate = self._rehearsed_ratio(shape)
+
+    def _trust(self) -> bool:
+        """Keep what is known of the error estimate; return whether it is believable."""
+        earlier, iteration = self._model.earlier, self._iteration
+        if earlier.underestimate is None and self._model.iterates:
+            if self._underestimate is None:
+                self._underestimate = 1.0  # mild tissue needs no trial run
+            earlier.underestimate = self._underestimate
+            earlier.least, earlier.care = iteration.least, iteration.care
+        if earlier.underestimate is None or earlier.underestimate > self._believable:
+            return False
+        iteration.least = min(iteration.least, earlier.least)
+        if self._start_quality is not None:
+            iteration.expect(self._start_quality.least)
+        return True
+
+    def _choose_margin(self) -> float:
+        """Return the safety factor on the error estimate, and set what cycles may leave unseen."""
+        model, earlier = self._model, self._model.earlier
+        volume, moves = len(model.shape) == 3, earlier.deflation
+        # Cycles find every motion of a single body, but may miss relative motions of close bodies.
+        sees_bodies = model.bodies is None or (moves is not None and not moves.close)
+        is_sure = self._mild and not volume and model.material.compressible and sees_bodies
+        is_gapped = not volume and _is_gapped(model)
+        self._iteration.unseen = _UNSEEN if is_gapped else 1.0
+        margin = _GAP_MARGIN if is_gapped and self._mild else _LEAST_MARGIN
+        if not is_sure:
+            assert earlier.underestimate is not None
+            margin = max(_MARGIN * earlier.underestimate, _MARGIN if volume else margin)
+        if volume and not self._mild:
+            margin *= _VOLUME_MARGIN
+        if moves is not None and moves.close:
+            margin *= _MARGIN
+        if self._start_quality is not None and not is_sure:
+            margin *= _WARM_MARGIN
+        return margin
+
+    def _run_cycles(
+        self, d: Planes, balance: Balance, tolerance: float, margin: float, watch: bool
+    ) -> Step | _Interrupted:
+        """Run cycles until the estimated error is within the tolerance, or they take too long.
+
+        Return the last step, or why there is none. If `watch` is True, a slow motion ends the run.
+        """
+        last: Step | None = None
+
+        def enough(latest: Step) -> bool:
+            nonlocal last
+            last = latest
+            self._gains.append(balance.unit**2 * latest.gain)
+            error = balance.unit * max(margin * latest.error, _LEAST_MARGIN * latest.worst_error)
+            self._report_cycle(error, tolerance)
+            if watch and self._is_slow:
+                raise _SlowMotionError
+            return error <= tolerance or self._too_long
+
+        try:
+            self._iteration.run(balance, d, enough)
+        except _SlowMotionError:
+            return _Interrupted.SLOW
+        except FloatingPointError:
+            return _Interrupted.INDEFINITE
+        return _Interrupted.IDLE if last is None else last
+
+    def _estimate_error(self, balance: Balance, step: Step, margin: float) -> float:
+        """Set the estimated error for the true residual; return its largest plausible value."""
+        deflation = self._model.earlier.deflation
+        self.residual = balance.norm
+        self.estimate = margin * step.reach * self.residual
+        if deflation is not None:
+            self.estimate += deflation.remaining_distance(balance.rest) * balance.unit
+        return max(self.estimate, _LEAST_MARGIN * step.worst_reach * self.residual)
 
     @property
     def _is_slow(self) -> bool:
@@ -351,7 +403,7 @@ class Refinement:
         """Number of cycles after which a run fails."""
         return self._most * (_IN_DOUBLE if self._iteration.in_double else 1)
 
-    def _rehearse(self, shape: tuple[int, ...]) -> float:
+    def _rehearsed_ratio(self, shape: tuple[int, ...]) -> float:
         """Return the ratio of the true to the estimated error in a rehearsal."""
         error = host.noise(shape)
         compute_thread.check_cancelled()
