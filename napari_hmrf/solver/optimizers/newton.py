@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from enum import Enum, auto
 from typing import NamedTuple
 
 import numpy as np
@@ -210,6 +211,55 @@ class _Linear(NamedTuple):
     factors: Factors | None = None
 
 
+class _After(Enum):
+    """What follows a Newton step."""
+
+    MOVED = auto()
+    ARRIVED = auto()
+    ENDED = auto()
+
+
+class _Pace:
+    """Steps that relax tissue between two pulls, and what obstructs the pulls.
+
+    Attributes
+    ----------
+    relaxations : int
+        Largest number of steps that relax the tissue before the next pull.
+    near : float
+        Distance from equilibrium, in pixels, at which tissue is relaxed enough.
+    """
+
+    def __init__(self) -> None:
+        self.relaxations, self.near = 0, _RELAXED_DISTANCE
+        self._stuck, self._patience = 0, _STUCK_LIMIT
+
+    def restart(self) -> None:
+        """Relax a new initial field before the first pull."""
+        self.relaxations, self._stuck, self._patience = _RELAXATION_LIMIT, 0, _STUCK_LIMIT
+
+    def is_stuck_after(self, taken: float, left: float) -> bool:
+        """Note a pull; return whether components that obstruct the pulls must be released.
+
+        Parameters
+        ----------
+        taken : float
+            Fraction of the pull that was possible.
+        left : float
+            Largest distance of a component from its prescribed position, in pixels.
+        """
+        if taken == 1.0:
+            return False
+        stays = taken < _STUCK_PART and taken * left < _STUCK_DISTANCE
+        self._stuck = self._stuck + 1 if stays and self.near == _BALANCED_DISTANCE else 0
+        self.near = _BALANCED_DISTANCE if stays else _RELAXED_DISTANCE
+        self.relaxations = _BALANCE_LIMIT if stays else _RELAXATION_LIMIT
+        if self._stuck < self._patience:
+            return False
+        self._stuck, self._patience = 0, 1
+        return True
+
+
 class Newton:
     """Newton iteration for equilibrium in large motion.
 
@@ -289,80 +339,85 @@ class Newton:
             from equilibrium is unknown.
         """
         self._tolerance, self._is_converged = tolerance, True
-        y = np.where(held, y, d)
-        relaxations, stuck, patience, near = 0, 0, _STUCK_LIMIT, _RELAXED_DISTANCE
+        y, pace = np.where(held, y, d), _Pace()
         self._first, self._pulled = float(np.abs(y - d).max()), len(self.energies)
         for number in range(self._strategy.steps):
             if self._is_slow(d, y, held) and self._restarts(d, y, held):
-                relaxations, stuck, patience = _RELAXATION_LIMIT, 0, _STUCK_LIMIT
-            ends = number == _PULL_LIMIT or self._is_late(_PULL_WORK)
-            if ends and (held & (y != d)).any():
-                np.copyto(y, d)
-                self._is_converged = False
-                self.ran_out = self.ran_out or number != _PULL_LIMIT
-            left = _largest(y - d, held)
-            pulls = left > 0 and relaxations == 0
-            aim = self._poses.aim(d, y)
-            gap = np.where(held, aim - d, 0.0) if pulls else None
-            self._report_step(number, left)
-            self._work.add_step()
-            before, distance_before = d.copy(), self.distance
-            step = self._step(d, gap, held)
-            del gap
-            if step is None:
-                # The tissue is so crushed that its tangent system has no solution, or the work that
-                # is left is not sufficient to find out.
-                lacks_work = not self._work.allows_factorization
-                self.ran_out = self.ran_out or lacks_work
-                if left > 0:
-                    self._give_up_start()
-                settled = left == 0 and not lacks_work
-                self._is_converged = self._is_converged and (
-                    settled or math.isinf(self.distance.estimate)
-                )
-                break
-            if pulls:
-                taken, self._pulled = (
-                    self._pull(d, before, step.way, aim, held),
-                    len(self.energies) + 1,
-                )
-                if taken < 1.0:
-                    stays = taken < _STUCK_PART and taken * left < _STUCK_DISTANCE
-                    stuck = stuck + 1 if stays and near == _BALANCED_DISTANCE else 0
-                    near = _BALANCED_DISTANCE if stays else _RELAXED_DISTANCE
-                    relaxations = _BALANCE_LIMIT if stays else _RELAXATION_LIMIT
-                    if stuck == patience:
-                        stuck, patience = 0, 1
-                        self._release(d, y, held, step)
-            else:
-                step, taken = self._relax(d, before, held, step)
-                relaxations = max(relaxations - 1, 0)
-            if not self._judge(d, step):
-                if left > 0:
-                    self._give_up_start()
-                # Return to the last valid field and end the run.
-                np.copyto(d, before)
-                self.distance = distance_before
-                self._is_converged = self._is_converged and left == 0
-                break
-            if taken == 1.0 and min(self.distance.estimate, step.far) <= near and not pulls:
-                relaxations = 0
-            arrived = taken == 1.0 and ((pulls and aim is y) or left == 0)
-            if arrived and self._is_balanced(d, held, step):
+                pace.restart()
+            if number == _PULL_LIMIT or self._is_late(_PULL_WORK):
+                self._stop_pulling(d, y, held, number)
+            after = self._advance(number, d, y, held, pace)
+            if after is _After.ARRIVED:
                 return
-            if left == 0 and (taken == 0.0 or self._creeps(step.far)):
-                far = max(self.distance.estimate, step.far)
-                self.distance = self.distance._replace(estimate=far)
-                break
-            if self._work.is_done:
-                self._is_converged = False
-                self.ran_out = True
+            if after is _After.ENDED:
                 break
         # Only crushed tissue that creeps may be this far from equilibrium.
         estimate = self.distance.estimate
         must_settle = self._is_converged and not self._strategy.approximate
         if not math.isfinite(estimate) or (must_settle and estimate > _CREEP_DISTANCE):
             self._fail()
+
+    def _stop_pulling(self, d: Planes, y: Planes, held: HeldPlanes, number: int) -> None:
+        """Leave the constrained components where they are: `y` becomes `d`, in place."""
+        if (held & (y != d)).any():
+            np.copyto(y, d)
+            self._is_converged = False
+            self.ran_out = self.ran_out or number != _PULL_LIMIT
+
+    def _advance(self, number: int, d: Planes, y: Planes, held: HeldPlanes, pace: _Pace) -> _After:
+        """Make a Newton step, in place: pull the tissue towards `y`, or relax it."""
+        left = _largest(y - d, held)
+        pulls = left > 0 and pace.relaxations == 0
+        aim = self._poses.aim(d, y)
+        gap = np.where(held, aim - d, 0.0) if pulls else None
+        self._report_step(number, left)
+        self._work.add_step()
+        before, distance_before = d.copy(), self.distance
+        step = self._step(d, gap, held)
+        del gap
+        if step is None:
+            self._end_without_step(left)
+            return _After.ENDED
+        if pulls:
+            taken = self._pull(d, before, step.way, aim, held)
+            self._pulled = len(self.energies) + 1
+            if pace.is_stuck_after(taken, left):
+                self._release(d, y, held, step)
+        else:
+            step, taken = self._relax(d, before, held, step)
+            pace.relaxations = max(pace.relaxations - 1, 0)
+        if not self._judge(d, step):
+            if left > 0:
+                self._give_up_start()
+            # Return to the last valid field and end the run.
+            np.copyto(d, before)
+            self.distance = distance_before
+            self._is_converged = self._is_converged and left == 0
+            return _After.ENDED
+        if taken == 1.0 and min(self.distance.estimate, step.far) <= pace.near and not pulls:
+            pace.relaxations = 0
+        arrived = taken == 1.0 and ((pulls and aim is y) or left == 0)
+        if arrived and self._is_balanced(d, held, step):
+            return _After.ARRIVED
+        if left == 0 and (taken == 0.0 or self._creeps(step.far)):
+            far = max(self.distance.estimate, step.far)
+            self.distance = self.distance._replace(estimate=far)
+            return _After.ENDED
+        if self._work.is_done:
+            self._is_converged = False
+            self.ran_out = True
+            return _After.ENDED
+        return _After.MOVED
+
+    def _end_without_step(self, left: float) -> None:
+        """Note why a run ends: crushed tissue whose tangent system has no solution, or no work."""
+        # Without work, it is unknown whether the system has a solution.
+        lacks_work = not self._work.allows_factorization
+        self.ran_out = self.ran_out or lacks_work
+        if left > 0:
+            self._give_up_start()
+        settled = left == 0 and not lacks_work
+        self._is_converged = self._is_converged and (settled or math.isinf(self.distance.estimate))
 
     def _is_late(self, fraction: float) -> bool:
         return self._work.spent >= fraction * self._work.limit
