@@ -176,6 +176,7 @@ def test_a_nifti_file_without_vectors_is_refused_as_a_field(tmp_path):
         read_field(path)
 
 
+@pytest.mark.usefixtures("child_process")
 @pytest.mark.parametrize("suffix", [".nii.gz", ".nii", ".mha", ".nrrd", ".h5", ".tfm"])
 def test_a_truncated_file_is_refused_as_a_field(suffix, tmp_path):
     """Test truncation; `make damaged` tests thousands of files of each format."""

@@ -26,6 +26,7 @@ _WAYS = (
 )
 
 
+@pytest.mark.usefixtures("child_process")  # HDF5 may crash when this process ends
 @pytest.mark.skipif(os.name != "posix", reason="needs the POSIX limit of file sizes")
 @pytest.mark.parametrize("name", WRITERS)
 def test_a_full_disk_changes_no_earlier_file(name, tmp_path):
