@@ -14,7 +14,7 @@ In each padded row, kernels write only to the span of moving sites (`spans`), or
 tissue, so the output must already be 0 outside the spans.
 """
 
-# mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
+# mypy: disable-error-code="no-untyped-def, no-untyped-call, no-any-return, untyped-decorator"
 from __future__ import annotations
 
 import numpy as np
@@ -64,6 +64,45 @@ def _reach(spans, z, y):
     return max(begin, 0) + 2, past + 2
 
 
+def _sweep(finish):
+    """Return a loop over the blocks of sites of some planes, which computes the forces A d.
+
+    Parameters
+    ----------
+    finish : callable
+        Compiled function ``finish(lines, d, data, about, at, of_d, z)`` that uses the forces
+        `lines` of a block of sites in plane `z`. The block is `at` = (first, past) in the rows of
+        the level, and `of_d` in the rows of `d`, which may be stored in another way. The loop
+        passes on `data`, which may be None, and `about`.
+    """
+
+    @callee
+    def sweep(d, of_d, tissue, where, data, about, first, last):
+        lame, share, shape = tissue
+        at, spans, width = where
+        lines, rows, planes = scratch(d, at.shape[1], width)
+        for z in range(max(first - 1, 0) + 2, last + 2):
+            rows.fill(0)
+            for y in range(2, at.shape[1] - 2):
+                begin, past = _reach(spans, z, y)
+                for x in range(begin, past, BLOCK):
+                    end, count = min(x + BLOCK, past), min(BLOCK, past - x)
+                    block_forces(
+                        d, of_d, lame, at, share, shape, z, y, x, count, lines, rows, planes
+                    )
+                    if z >= first + 2:
+                        block = at[z, y] + x, at[z, y] + end
+                        finish(lines, d, data, about, block, (of_d[z, y] + x, of_d[z, y] + end), z)
+
+    return sweep
+
+
+@inline
+def _forces_of(lines):
+    """Return the three components of the forces of a block."""
+    return force_of(lines, 0), force_of(lines, 1), force_of(lines, 2)
+
+
 @disjoint
 def _smooth_line(force, d, load, inverse, weight, springs, out, pace):
     scale, ahead, back = pace
@@ -104,44 +143,37 @@ def _smooth_block(forces, d, load, inverse, weight, mixed, block, out, pace):
         out_2[x] = k + (scale * step + ahead * k - back * out_2[x])
 
 
-@callee
-def _smooth_part(d, tissue, weights, mixed, load, inverse, where, out, pace, first, last):
-    lame, share, shape = tissue
-    weight, springs = weights
-    at, spans, width = where
-    lines, rows, planes = scratch(d, at.shape[1], width)
-    for z in range(max(first - 1, 0) + 2, last + 2):
-        rows.fill(0)
-        for y in range(2, at.shape[1] - 2):
-            begin, past = _reach(spans, z, y)
-            for x in range(begin, past, BLOCK):
-                end, count = min(x + BLOCK, past), min(BLOCK, past - x)
-                block_forces(d, at, lame, at, share, shape, z, y, x, count, lines, rows, planes)
-                i, j = at[z, y] + x, at[z, y] + end
-                if z >= first + 2 and mixed is not None:
-                    _smooth_block(
-                        (force_of(lines, 0), force_of(lines, 1), force_of(lines, 2)),
-                        _three(d, 0, i, j),
-                        _three(load, 0, i, j),
-                        _three(inverse, 0, i, j),
-                        _three(weight, 0, i, j),
-                        _three(mixed, 0, i, j),
-                        _three(mixed, 3, i, j),
-                        _three(out, 0, i, j),
-                        pace,
-                    )
-                elif z >= first + 2:
-                    for k in range(3):
-                        _smooth_line(
-                            force_of(lines, k),
-                            d[k, i:j],
-                            load[k, i:j],
-                            inverse[k, i:j],
-                            weight[k, i:j],
-                            springs,
-                            out[k, i:j],
-                            pace,
-                        )
+@shared
+def _smooth_finish(lines, d, data, about, at, of_d, z):
+    load, inverse, weight, springs, out, pace = about
+    i, j = at
+    if data is not None:
+        _smooth_block(
+            _forces_of(lines),
+            _three(d, 0, i, j),
+            _three(load, 0, i, j),
+            _three(inverse, 0, i, j),
+            _three(weight, 0, i, j),
+            _three(data, 0, i, j),
+            _three(data, 3, i, j),
+            _three(out, 0, i, j),
+            pace,
+        )
+    else:
+        for k in range(3):
+            _smooth_line(
+                force_of(lines, k),
+                d[k, i:j],
+                load[k, i:j],
+                inverse[k, i:j],
+                weight[k, i:j],
+                springs,
+                out[k, i:j],
+                pace,
+            )
+
+
+_smooth_sweep = _sweep(_smooth_finish)
 
 
 @disjoint_parallel
@@ -159,12 +191,10 @@ def smooth(
     step = thread[2]
     source, target = (d, other) if step % 2 == 0 else (other, d)
     pace = paces[step, 0], paces[step, 1], paces[step, 2]
-    tissue, weights = (lame, share, shape), (weight, springs)
+    tissue, about = (lame, share, shape), (load, inverse, weight, springs, target, pace)
     for number in portion(thread, count):
         first, last = bounds_of_part(number, count, len(at) - 4)
-        _smooth_part(
-            source, tissue, weights, mixed, load, inverse, where, target, pace, first, last
-        )
+        _smooth_sweep(source, at, tissue, where, mixed, about, first, last)
 
 
 @disjoint_parallel
@@ -232,30 +262,23 @@ def _filter_block(forces, d, load, inverse, weight, mixed, block, out):
         out_2[x] = end if inverse_2[x] > float32(0) else end - end
 
 
-@callee
-def _leave_part(d, tissue, weight, mixed, load, inverse, where, out, first, last):
-    lame, share, shape = tissue
-    at, spans, width = where
-    lines, rows, planes = scratch(d, at.shape[1], width)
-    for z in range(max(first - 1, 0) + 2, last + 2):
-        rows.fill(0)
-        for y in range(2, at.shape[1] - 2):
-            begin, past = _reach(spans, z, y)
-            for x in range(begin, past, BLOCK):
-                end, count = min(x + BLOCK, past), min(BLOCK, past - x)
-                block_forces(d, at, lame, at, share, shape, z, y, x, count, lines, rows, planes)
-                i, j = at[z, y] + x, at[z, y] + end
-                if z >= first + 2:
-                    _filter_block(
-                        (force_of(lines, 0), force_of(lines, 1), force_of(lines, 2)),
-                        _three(d, 0, i, j),
-                        _three(load, 0, i, j),
-                        _three(inverse, 0, i, j),
-                        _three(weight, 0, i, j),
-                        _three(mixed, 0, i, j),
-                        _three(mixed, 3, i, j),
-                        _three(out, 0, i, j),
-                    )
+@shared
+def _filter_finish(lines, d, data, about, at, of_d, z):
+    load, inverse, weight, out = about
+    i, j = at
+    _filter_block(
+        _forces_of(lines),
+        _three(d, 0, i, j),
+        _three(load, 0, i, j),
+        _three(inverse, 0, i, j),
+        _three(weight, 0, i, j),
+        _three(data, 0, i, j),
+        _three(data, 3, i, j),
+        _three(out, 0, i, j),
+    )
+
+
+_filter_sweep = _sweep(_filter_finish)
 
 
 @parallel
@@ -264,42 +287,32 @@ def filtered_rest(thread, d, load, lame, share, inverse, weight, mixed, shape, w
     at = where[0]
     for number in portion(thread, count):
         first, last = bounds_of_part(number, count, len(at) - 4)
-        tissue = lame, share, shape
-        _leave_part(d, tissue, weight, mixed, load, inverse, where, out, first, last)
+        tissue, about = (lame, share, shape), (load, inverse, weight, out)
+        _filter_sweep(d, at, tissue, where, mixed, about, first, last)
 
 
-@callee
-def _rest_part(d, of_d, tissue, weights, mixed, loads, inverse, where, out, first, last):
-    lame, share, shape = tissue
-    (weight, springs), (load, given, scale) = weights, loads
-    at, spans, width = where
-    lines, rows, planes = scratch(d, at.shape[1], width)
-    for z in range(max(first - 1, 0) + 2, last + 2):
-        rows.fill(0)
-        for y in range(2, at.shape[1] - 2):
-            begin, past = _reach(spans, z, y)
-            for x in range(begin, past, BLOCK):
-                end, count = min(x + BLOCK, past), min(BLOCK, past - x)
-                block_forces(d, of_d, lame, at, share, shape, z, y, x, count, lines, rows, planes)
-                i, j = at[z, y] + x, at[z, y] + end
-                before, after = of_d[z, y] + x, of_d[z, y] + end
-                if z >= first + 2:
-                    if mixed is not None:
-                        three = force_of(lines, 0), force_of(lines, 1), force_of(lines, 2)
-                        along = _three(d, 0, before, after)
-                        _mixed_forces(three, along, _three(mixed, 0, i, j))
-                    for k in range(3):
-                        _rest_line(
-                            force_of(lines, k),
-                            d[k, before:after],
-                            load[k, before:after],
-                            given,
-                            inverse[k, i:j],
-                            weight[k, i:j],
-                            springs,
-                            scale,
-                            out[k, i:j],
-                        )
+@shared
+def _rest_finish(lines, d, data, about, at, of_d, z):
+    load, given, inverse, weight, springs, scale, out = about
+    (i, j), (before, after) = at, of_d
+    if data is not None:
+        along = _three(d, 0, before, after)
+        _mixed_forces(_forces_of(lines), along, _three(data, 0, i, j))
+    for k in range(3):
+        _rest_line(
+            force_of(lines, k),
+            d[k, before:after],
+            load[k, before:after],
+            given,
+            inverse[k, i:j],
+            weight[k, i:j],
+            springs,
+            scale,
+            out[k, i:j],
+        )
+
+
+_rest_sweep = _sweep(_rest_finish)
 
 
 @disjoint_parallel
@@ -328,27 +341,19 @@ def rest(
     at = where[0]
     for number in portion(thread, count):
         first, last = bounds_of_part(number, count, len(at) - 4)
-        tissue, weights, loads = (lame, share, shape), (weight, springs), (load, given, scale)
-        _rest_part(d, of_d, tissue, weights, mixed, loads, inverse, where, out, first, last)
+        about = load, given, inverse, weight, springs, scale, out
+        _rest_sweep(d, of_d, (lame, share, shape), where, mixed, about, first, last)
 
 
-@callee
-def _pull_part(d, of_d, tissue, where, out, first, last):
-    lame, share, shape = tissue
-    at, spans, width = where
-    lines, rows, planes = scratch(d, at.shape[1], width)
-    for z in range(max(first - 1, 0) + 2, last + 2):
-        rows.fill(0)
-        for y in range(2, at.shape[1] - 2):
-            begin, past = _reach(spans, z, y)
-            for x in range(begin, past, BLOCK):
-                count = min(BLOCK, past - x)
-                block_forces(d, of_d, lame, at, share, shape, z, y, x, count, lines, rows, planes)
-                if z >= first + 2:
-                    for k in range(3):
-                        force, line = force_of(lines, k), out[k, of_d[z, y] + x :]
-                        for i in range(count):
-                            line[i] = -force[i]
+@shared
+def _pull_finish(lines, d, data, out, at, of_d, z):
+    for k in range(3):
+        force, line = force_of(lines, k), out[k, of_d[0] :]
+        for i in range(of_d[1] - of_d[0]):
+            line[i] = -force[i]
+
+
+_pull_sweep = _sweep(_pull_finish)
 
 
 @parallel
@@ -360,7 +365,7 @@ def pull(thread, d, of_d, lame, share, shape, where, out, count):
     at = where[0]
     for number in portion(thread, count):
         first, last = bounds_of_part(number, count, len(at) - 4)
-        _pull_part(d, of_d, (lame, share, shape), where, out, first, last)
+        _pull_sweep(d, of_d, (lame, share, shape), where, None, out, first, last)
 
 
 @contracted_reduction
@@ -384,29 +389,21 @@ def _tensor_forces(forces, d, weight):
         force_2[x] += weight_2[x] * d_2[x]
 
 
-@callee
-def _work_part(d, of_d, tissue, data, where, products, squares, first, last):
-    lame, share, shape = tissue
-    at, spans, width = where
-    lines, rows, planes = scratch(d, at.shape[1], width)
-    for z in range(max(first - 1, 0) + 2, last + 2):
-        rows.fill(0)
-        for y in range(2, at.shape[1] - 2):
-            begin, past = _reach(spans, z, y)
-            for x in range(begin, past, BLOCK):
-                end, count = min(x + BLOCK, past), min(BLOCK, past - x)
-                block_forces(d, of_d, lame, at, share, shape, z, y, x, count, lines, rows, planes)
-                i, j = of_d[z, y] + x, of_d[z, y] + end
-                if z >= first + 2:
-                    if data is not None:
-                        three = force_of(lines, 0), force_of(lines, 1), force_of(lines, 2)
-                        along = _three(d, 0, i, j)
-                        _tensor_forces(three, along, _three(data, 0, i, j))
-                        _mixed_forces(three, along, _three(data, 3, i, j))
-                    for k in range(3):
-                        product, square = _work_line(force_of(lines, k), d[k, i:j])
-                        products[z - 2] += product
-                        squares[z - 2] += square
+@shared
+def _work_finish(lines, d, data, about, at, of_d, z):
+    products, squares = about
+    i, j = of_d
+    if data is not None:
+        along = _three(d, 0, i, j)
+        _tensor_forces(_forces_of(lines), along, _three(data, 0, i, j))
+        _mixed_forces(_forces_of(lines), along, _three(data, 3, i, j))
+    for k in range(3):
+        product, square = _work_line(force_of(lines, k), d[k, i:j])
+        products[z - 2] += product
+        squares[z - 2] += square
+
+
+_work_sweep = _sweep(_work_finish)
 
 
 @disjoint_parallel
@@ -419,7 +416,8 @@ def work(thread, d, of_d, lame, share, data, shape, where, products, squares, co
     at = where[0]
     for number in portion(thread, count):
         first, last = bounds_of_part(number, count, len(at) - 4)
-        _work_part(d, of_d, (lame, share, shape), data, where, products, squares, first, last)
+        about = products, squares
+        _work_sweep(d, of_d, (lame, share, shape), where, data, about, first, last)
 
 
 # Vectors
