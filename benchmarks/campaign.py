@@ -20,7 +20,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 from unittest.mock import patch
 
@@ -35,11 +35,12 @@ from napari_hmrf.fields import count_folds
 from napari_hmrf.solver.backends.cpu import layout
 from napari_hmrf.solver.backends.direct.factors import Factors
 from napari_hmrf.solver.live_solver import TOLERANCE, Update
+from napari_hmrf.solver.priors.finite_strain import BARRIER_BEGIN
 from validation.bodies import between_plates, dice_of
 from validation.oracles.elasticity import direct_solution
 from validation.oracles.exact import Exact, exact_field
 from validation.oracles.exact.equations import free_motions
-from validation.oracles.large_motion import smallest_jacobian
+from validation.oracles.large_motion import large_field, smallest_jacobian, with_stiff_bodies
 from validation.oracles.paper import solve_exactly
 from validation.oracles.parts import dense_solution, forces_of, sliding_field
 from validation.oracles.posterior import posterior_mean
@@ -50,6 +51,7 @@ from validation.problems import (
     edits_of,
     mild_tissue,
     random_data,
+    random_large_data,
     random_large_motion,
     random_parts,
     random_problem,
@@ -86,6 +88,8 @@ BOUND = 1.05
 _COLD, _GRACE_OF_EDITS = 1e-4, 1e-9
 # Largest distance of the tissue from a target that is reached, in pixels.
 _MET = 0.01
+# Stiffnesses of stiff tissue whose limit is rigid tissue, relative to the stiffest tissue.
+_STIFF = 1e5, 1e6
 # Shapes of volumes that test the memory, and largest accepted growth, in MB.
 _SHAPES = tuple(itertools.product((4, 6, 8, 10, 12, 13), (5, 7, 9, 11, 12, 13), (4, 8, 13)))
 _GROWTH = 100.0
@@ -370,6 +374,56 @@ def judge_data(_: int, number: int, backend: str = "cpu") -> Iterator[Verdict]:
     yield _beside(found, problem, posterior_mean(problem, prior) / problem.unit, kinds)
 
 
+def judge_large_data(_: int, number: int, backend: str = "cpu") -> Iterator[Verdict]:
+    """Compare data in large motion with the field to which an independent Newton's method settles.
+
+    The method begins at the solution: tissue may have several equilibria. Its energy has no barrier
+    in volumes, so those with nearly folded elements are not compared. Rigid tissue is the limit of
+    stiff tissue. Faults are those of `judge_parts`, and refusals.
+    """
+    case = random_large_data(number)
+    problem, kinds = case.problem, {"data": case.kind}
+    kinds["rigid tissue"] = "some" if problem.rigid.any() else "none"
+    begun = now()
+    try:
+        found = solve(problem, case.prior, backend=backend)
+    except HmrfError as refusal:
+        yield Verdict("refused", kinds, note=str(refusal))
+        return
+    seconds, reach = since(begun).wall, found.reach
+    assert reach is not None
+    if reach.where is not None or reach.unbalanced_at is not None:
+        yield Verdict("unreached, as reported", kinds, seconds=seconds, note=str(reach))
+        return
+    if problem.is_volume and _smallest_elastic_jacobian(case, found) < BARRIER_BEGIN:
+        yield Verdict("not compared", kinds, seconds=seconds)
+        return
+    verdict = _beside(found, problem, _settled(case, found) / problem.unit, kinds)
+    yield replace(verdict, seconds=seconds)
+
+
+def _settled(case: LargeMotion, found: Solution) -> np.ndarray:
+    """Return the field to which the independent method settles from a solution."""
+    problem, start = case.problem, found.displacement
+    if not problem.rigid.any():
+        return large_field(problem, case.prior, 1, start=start)
+    one, two = (
+        large_field(with_stiff_bodies(problem, ratio), case.prior, 1, start=start)
+        for ratio in _STIFF
+    )
+    # The motion of stiff tissue within itself decreases in proportion to its stiffness.
+    return np.asarray(two + (two - one) / (_STIFF[1] / _STIFF[0] - 1))
+
+
+def _smallest_elastic_jacobian(case: LargeMotion, found: Solution) -> float:
+    """Return a bound below the Jacobians of all elements without their growth."""
+    loads = case.problem.loads
+    least = float(case.prior.corner_jacobians(case.problem, found.displacement).min())
+    if loads is None or loads.growth is None:
+        return least
+    return least / max(1.0, float((1 + loads.growth).max()) ** 3)
+
+
 def reference_of_parts(
     drawn: RandomProblem, tilt: float = 0.0, number: int = 0
 ) -> tuple[np.ndarray, float]:
@@ -599,6 +653,7 @@ CAMPAIGNS = {
     "parts": Campaign(judge_parts, 2500),
     "sliding": Campaign(judge_sliding, 50 * len(_BESIDE_PARTS)),
     "data": Campaign(judge_data, 100),
+    "large-data": Campaign(judge_large_data, 600),
     "gaps": Campaign(judge_gaps, 4000),
     "large-gaps": Campaign(judge_large_gaps, 1000),
     "gaps-in-volumes": Campaign(judge_gaps_in_volumes, 1000),

@@ -22,6 +22,7 @@ from napari_hmrf import ElasticPrior, NeoHookeanPrior, Problem, SeilerPrior
 from napari_hmrf.field.neighbours import around_sites, in_elements, sites_of_elements
 from napari_hmrf.landmarks import Landmarks, StrainScale
 from napari_hmrf.loads import Loads, cavity, growth, weight
+from napari_hmrf.solver.uncertain_landmarks import interpolated
 from napari_hmrf.solver.unconnected import scraps
 from napari_hmrf.tissue import SlidingParts
 from validation.bodies import Array, Dice, Flags, Shape, dice_of, offsets, turned
@@ -843,6 +844,67 @@ def random_large_motion(dice: Dice, axes: int, known: bool) -> LargeMotion:
         loads = growth(strain * (_ball(dice, shape, 2, size / 2) & ~rigid), along=along)
     problem = Problem(observed=moves, confidence=c, stiffness=m, spacing=spacing, loads=loads)
     return LargeMotion(problem, prior, "known map" if known else kind)
+
+
+def random_large_data(number: int) -> LargeMotion:
+    """Return an image or a volume in large motion, whose data are samples of a map without folds.
+
+    A third of the problems has a precision, a third has landmarks, and a third has both beside
+    prescribed sites, forces and growth, half of them with rigid tissue. Data alone hold the tissue
+    of half of the others.
+    """
+    dice = dice_of(number)
+    axes, kind = 2 + number % 2, ("precision", "landmarks", "both")[number // 2 % 3]
+    shape = tuple(map(int, dice.integers(*((10, 17) if axes == 2 else (5, 8)), axes)))
+    spacing = tuple(map(float, 2 ** dice.uniform(-1, 1, axes)))
+    m = 10 ** dice.uniform(-2, 2) * 10 ** (dice.uniform(0, 1) * dice.random(shape))
+    if dice.random() < 0.3:
+        m[_ball(dice, shape, 1, min(shape) / 3)] = 0
+        m[~sites_of_elements(m)] = 0  # such sites have no elements of their own
+    motion = dice.uniform(0.2, 0.9 if axes == 2 else 0.5) * _smooth_map(dice, shape)
+    y, c = motion * np.array(spacing), np.zeros((*shape, axes))
+    loads = None
+    if kind == "both" or dice.random() < 0.5:
+        c[0] = m[0, ..., None] > 0
+    if kind == "both":
+        centre = dice.uniform(0.35, 0.5, axes) * shape
+        ball = _ball(dice, shape, 1, min(shape) / 3, centre)
+        if number // 6 % 2:
+            m[ball & _inner(shape, 2) & (m > 0)] = np.inf
+        unit = float(np.median(m[(m > 0) & (m < np.inf)])) * math.prod(spacing) ** (1 - 1 / axes)
+        forces = 0.04 / axes**2 * unit * dice.normal(size=y.shape) * (m > 0)[..., None]
+        # Elements of rigid tissue do not grow.
+        beside = ndi.binary_dilation(np.isinf(m), np.ones((3,) * axes))
+        strain = dice.uniform(-0.15, 0.3) * (_ball(dice, shape, 1.5, min(shape) / 3) & ~beside)
+        loads = Loads(growth=strain, force=forces)
+    precision, marks, soft = None, None, (m > 0) & (m < np.inf)
+    if kind != "landmarks":
+        rank, share = int(dice.integers(1, axes + 1)), float(dice.choice([1.0, 0.3]))
+        # Strong data would strain the stiff tissue of which rigid tissue is the limit.
+        most = 2.5 if soft.sum() == (m > 0).sum() else 0.5
+        strength = 10 ** dice.uniform(-2, most) * float(m[soft].max())
+        precision = random_tensors(dice, shape, rank, strength, share)
+        y = y + dice.normal(size=y.shape) * 0.03 * min(spacing) * (c == 0)
+    if kind != "precision":
+        elements = np.argwhere(in_elements(m))
+        at = elements[dice.integers(len(elements), size=8)]
+        points = at + dice.random((8, axes))
+        targets = points + interpolated(motion, points) + 0.03 * dice.normal(size=points.shape)
+        scale = StrainScale(0.1, extent=float(np.mean(spacing) * min(shape) / 2))
+        marks = Landmarks(points, targets, sd=min(spacing) * 10 ** dice.uniform(-2, 1), scale=scale)
+    prior = NeoHookeanPrior(
+        float(dice.choice([0.0, 0.3, 0.45])), plane="stress" if dice.random() < 0.5 else "strain"
+    )
+    problem = Problem(
+        observed=y,
+        confidence=c,
+        stiffness=m,
+        spacing=spacing,
+        loads=loads,
+        precision=precision,
+        landmarks=marks,
+    )
+    return LargeMotion(problem, prior, f"{kind}, {'image' if axes == 2 else 'volume'}")
 
 
 def _inner(shape: Shape, margin: int) -> Flags:

@@ -195,25 +195,57 @@ class DataTerm(NamedTuple):
         float
             Half the work of these forces over the observations.
         """
-        pairs = dict(zip(packed_axes(self.axes), self.weights, strict=True))
         forces, energy = np.zeros((self.axes, *self.weights.shape[1:])), 0.0
         for sites, planes in _blocks(observed.shape[:-1]):
             y = np.moveaxis(observed[sites], -1, 0).astype(np.float64, order="C")
             y /= unit
-            product = np.empty(y.shape[1:])
-            for i, force in enumerate(forces):
-                out = force[planes]
-                np.multiply(pairs[i, i][planes], y[i], out=out)
-                for j in range(self.axes):
-                    if i != j:
-                        weight = pairs[min(i, j), max(i, j)][planes]
-                        out += np.multiply(weight, y[j], out=product)
-                energy += float(np.multiply(out, y[i], out=product).sum()) / 2
+            energy += self._multiply(y, planes, forces)
         if self.points is not None:
             of_points = self.points.weights * self.points.observed
             self.points.add_forces(of_points, forces)
             energy += float((of_points * self.points.observed).sum()) / 2
         return forces, energy
+
+    def derivative(self, d: Planes, observed: Planes) -> tuple[Planes, float]:
+        """Return the gradient of the energy at a displacement, and the energy.
+
+        Unlike `load`, this has no rounding error where a precise observation is satisfied.
+
+        Parameters
+        ----------
+        d, observed : ndarray, planes
+            Displacement, and observed displacement of the sites, in pixels.
+
+        Returns
+        -------
+        ndarray, planes
+            ``W (d - y) + H^T w (H d - y_p)``
+        float
+        """
+        forces, energy = np.zeros(d.shape), 0.0
+        for _, planes in _blocks(tuple(size - 4 for size in d.shape[1:])):
+            off = d[:, *planes] - observed[:, *planes]
+            energy += self._multiply(off, planes, forces)
+        if self.points is not None:
+            off = self.points.at_points(d) - self.points.observed
+            of_points = self.points.weights * off
+            self.points.add_forces(of_points, forces)
+            energy += float((of_points * off).sum()) / 2
+        return forces, energy
+
+    def _multiply(self, y: Float64Array, planes: tuple[slice, ...], forces: Planes) -> float:
+        """Write W y to a block of `forces`; return y . W y / 2."""
+        pairs = dict(zip(packed_axes(self.axes), self.weights, strict=True))
+        product, energy = np.empty(y.shape[1:]), 0.0
+        for i, force in enumerate(forces):
+            out = force[planes]
+            np.multiply(pairs[i, i][planes], y[i], out=out)
+            for j in range(self.axes):
+                if i != j:
+                    weight = pairs[min(i, j), max(i, j)][planes]
+                    out += np.multiply(weight, y[j], out=product)
+            energy += float(np.multiply(out, y[i], out=product).sum()) / 2
+        return energy
 
     def add_diagonal(self, out: Planes) -> None:
         """Add the diagonal of the term to the diagonal of the tissue, in place.
@@ -357,14 +389,8 @@ def are_same(one: DataTerm | None, other: DataTerm | None) -> bool:
     )
 
 
-def refuse_data(problem: Problem, model: str) -> None:
-    """Raise an error if a problem has a data term, which a model does not support.
-
-    Parameters
-    ----------
-    problem : Problem
-    model : str
-        Name of the model, for the message.
+def refuse_data(problem: Problem) -> None:
+    """Raise an error if a problem has a data term, which the paper's prior does not support.
 
     Raises
     ------
@@ -374,5 +400,6 @@ def refuse_data(problem: Problem, model: str) -> None:
     for field, data in (("precision", problem.precision), ("landmarks", problem.landmarks)):
         if data is not None:
             raise ProblemError(
-                field, f"cannot be used with {model}. Use ElasticPrior, or confidence instead."
+                field,
+                "cannot be used with the paper's prior. Use ElasticPrior, or confidence instead.",
             )

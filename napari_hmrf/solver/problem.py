@@ -71,15 +71,15 @@ class Problem:
         thickness are in the unit of stiffness times length; in a volume, forces are in the unit of
         stiffness times length squared. The unit of length is that of `spacing`.
     precision : array_like, optional
-        Precision of `observed`, W in the equations, for `ElasticPrior`: adds the energy
-        ``1/2 (d - y)^T W (d - y)`` of each site, in addition to `confidence`. A symmetric positive
-        semidefinite tensor at each site, shape (H, W, 2, 2) or (D, H, W, 3, 3); its diagonal, shape
-        (H, W, 2) or (D, H, W, 3); or one number for each site or for all sites. In an image, the
-        unit is that of stiffness; in a volume, stiffness times length. Values in void are ignored.
-        ``k n n^T`` observes the component along n only.
+        Precision of `observed`, W in the equations, for `ElasticPrior` and `NeoHookeanPrior`: adds
+        the energy ``1/2 (d - y)^T W (d - y)`` of each site, in addition to `confidence`. A
+        symmetric positive semidefinite tensor at each site, shape (H, W, 2, 2) or (D, H, W, 3, 3);
+        its diagonal, shape (H, W, 2) or (D, H, W, 3); or one number for each site or for all sites.
+        In an image, the unit is that of stiffness; in a volume, stiffness times length. Values in
+        void are ignored. ``k n n^T`` observes the component along n only.
     landmarks : Landmarks, optional
         Observed displacements of points between pixels, with standard deviations, for
-        `ElasticPrior`.
+        `ElasticPrior` and `NeoHookeanPrior`.
     sliding : SlidingParts, optional
         Labels of parts of the tissue that slide along each other, for `ElasticPrior`. By default,
         all tissue is connected.

@@ -122,9 +122,9 @@ class Landmarks:
         Scale of the prior.
     drift : bool
         True to estimate an affine motion of all tissue together with the landmarks: a uniform
-        strain that costs no energy, as growth does. Rigid tissue does not strain. At least three
-        landmarks that are not on one line are required, or four that are not on one plane, unless
-        other observations hold the tissue.
+        strain that costs no energy, as growth does, for `ElasticPrior`. Rigid tissue does not
+        strain. At least three landmarks that are not on one line are required, or four that are not
+        on one plane, unless other observations hold the tissue.
 
     Raises
     ------

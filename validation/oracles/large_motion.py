@@ -29,6 +29,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import spsolve
 
 from napari_hmrf import ElasticPrior, NeoHookeanPrior, Problem
+from napari_hmrf.landmarks import Landmarks
 from validation.oracles.elasticity import (
     at_corners,
     corners_of,
@@ -36,6 +37,7 @@ from validation.oracles.elasticity import (
     is_plane_stress,
     lame_parameters,
 )
+from validation.oracles.posterior import data_matrix
 
 Array = npt.NDArray[np.float64]
 Points = tuple[tuple[float, ...], ...]
@@ -98,26 +100,34 @@ def smallest_jacobian(
 
 
 def large_field(
-    problem: Problem, prior: NeoHookeanPrior, parts: int = 8, *, textbook: bool = False
+    problem: Problem,
+    prior: NeoHookeanPrior,
+    parts: int = 8,
+    *,
+    textbook: bool = False,
+    start: Array | None = None,
 ) -> Array:
     """Return the field of least energy, loaded in `parts` increments.
 
     Parameters
     ----------
     problem : Problem
-        Tissue without rigid parts. All components that are observed are prescribed exactly.
+        Tissue without rigid parts. All components that are observed are prescribed exactly, and
+        terms of data are added.
     prior : NeoHookeanPrior
     parts : int
-        Number of increments of the displacement, the growth and the forces.
+        Number of increments of the displacement, the observations, the growth and the forces.
     textbook : bool
         True for elements that evaluate everything at the Gauss points.
+    start : ndarray, optional
+        Field from which the first increment begins, for one increment; by default zero.
 
     Returns
     -------
     ndarray, shape (H, W, 2) or (D, H, W, 3)
         Displacement, in the unit of ``problem.spacing``.
     """
-    d = np.zeros(problem.observed.shape)
+    d = np.zeros(problem.observed.shape) if start is None else start.astype(np.float64)
     exist = at_corners(problem.tissue, len(problem.shape)).all(axis=0)
     number = np.arange(d.size).reshape(d.shape)
     nodes = displaced_corners(number)[exist].astype(np.intp)
@@ -128,14 +138,16 @@ def large_field(
     goal, force = problem.observed.astype(np.float64).ravel(), np.zeros(d.size)
     if problem.loads is not None and problem.loads.force is not None:
         force = problem.loads.force.astype(np.float64).ravel()
+    data, pull = data_matrix(problem)
     for part in range(1, parts + 1):
         share = part / parts
         tissue = _Tissue.of(problem, prior, share, exist)
         for _ in range(_MOST_STEPS):
             pulls, tangents = _derivatives(tissue, d.ravel()[nodes], textbook)
-            load = share * force - np.bincount(nodes.ravel(), pulls.ravel(), d.size)
+            load = share * (force + pull) - np.bincount(nodes.ravel(), pulls.ravel(), d.size)
+            load -= data @ d.ravel()
             at = rows.ravel(), cols.ravel()
-            matrix = sp.csc_array((tangents.ravel(), at), shape=(d.size, d.size))
+            matrix = sp.csc_array((tangents.ravel(), at), shape=(d.size, d.size)) + data
             step = np.where(known, share * goal - d.ravel(), 0.0)
             step[free] = spsolve(matrix[free][:, free], (load - matrix @ step)[free])
             step, length = step.reshape(d.shape), 1.0
@@ -147,6 +159,26 @@ def large_field(
         else:
             raise RuntimeError(f"part {part} of {parts} has not converged")
     return d
+
+
+def with_stiff_bodies(problem: Problem, ratio: float) -> Problem:
+    """Return a problem whose rigid tissue is `ratio` times as stiff as the stiffest other tissue.
+
+    The weights of its landmarks stay the same.
+    """
+    m, marks = problem.stiffness, problem.landmarks
+    if marks is not None:
+        scale = marks.scale.resolved(m, problem.spacing)
+        marks = Landmarks(marks.points, marks.targets, sd=marks.sd, scale=scale)
+    return Problem(
+        observed=problem.observed,
+        confidence=problem.confidence,
+        stiffness=np.where(np.isinf(m), ratio * m[np.isfinite(m)].max(), m),
+        spacing=problem.spacing,
+        loads=problem.loads,
+        precision=problem.precision,
+        landmarks=marks,
+    )
 
 
 class _Tissue(NamedTuple):

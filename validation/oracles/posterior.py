@@ -31,8 +31,10 @@ def interpolation(points, grid) -> sp.csr_array:
     return sp.coo_array((values, (rows, cols)), (len(points) * axes, np.prod(grid) * axes)).tocsr()
 
 
-def with_data(problem, matrix, load) -> tuple[sp.csr_array, np.ndarray]:
-    """Add the precision and the landmarks of a problem to a matrix and a load."""
+def data_matrix(problem) -> tuple[sp.csr_array, np.ndarray]:
+    """Return the matrix and the load of the precision and the landmarks of a problem."""
+    size = problem.observed.size
+    matrix, load = sp.csr_array((size, size)), np.zeros(size)
     if problem.precision is not None:
         axes = len(problem.shape)
         data = sp.block_diag(list(problem.precision.reshape(-1, axes, axes)), format="csr")
@@ -45,6 +47,12 @@ def with_data(problem, matrix, load) -> tuple[sp.csr_array, np.ndarray]:
         matrix = matrix + at.T @ sp.diags_array(weights) @ at
         load = load + at.T @ (weights * moves)
     return matrix.tocsr(), load
+
+
+def with_data(problem, matrix, load) -> tuple[sp.csr_array, np.ndarray]:
+    """Add the precision and the landmarks of a problem to a matrix and a load."""
+    data, pull = data_matrix(problem)
+    return (matrix + data).tocsr(), load + pull
 
 
 @followed(lambda prior: prior)

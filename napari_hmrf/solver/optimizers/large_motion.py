@@ -32,7 +32,7 @@ from napari_hmrf.solver.optimizers.base import (
 )
 from napari_hmrf.solver.optimizers.coarse_start import coarse_problem, prolonged, takes_coarse_start
 from napari_hmrf.solver.optimizers.cycle import smoothing_of
-from napari_hmrf.solver.optimizers.dead_loads import DeadLoads
+from napari_hmrf.solver.optimizers.external_forces import ExternalForces, Measurements
 from napari_hmrf.solver.optimizers.large_slip import LargeSlip
 from napari_hmrf.solver.optimizers.loading import check_balanced, check_reach, load_forces
 from napari_hmrf.solver.optimizers.newton import LEAST_JACOBIAN, Newton, Obstructed, Strategy, norm
@@ -119,7 +119,8 @@ def converge(
     # Unobserved sites of a constrained rigid body have no target displacement.
     poses, has_target = model.poses(stops), held.copy()
     poses.hold(observed, held)
-    outside, strategy = None if load is None else DeadLoads(load), _strategy(problem, material)
+    data = _measurements(problem, material)
+    outside, strategy = ExternalForces.of(load, data), _strategy(problem, material)
     strategy = strategy._replace(approximate=is_coarse)
     progress = _Progress(report)
     make_newton = partial(
@@ -127,7 +128,7 @@ def converge(
     )
     newton = make_newton()
     d = _start_field(problem, model, poses, start, observed, held)
-    if problem.loads is None and limit is None:
+    if problem.loads is None and data is None and limit is None:
         gaps = [norm(np.where(held, observed - field, 0.0)) for field in (d, 0.0)]
         if gaps[0] >= _USEFUL_GAP * gaps[1]:
             d, start = np.zeros_like(d), None  # the warm start belongs to another motion
@@ -149,7 +150,9 @@ def converge(
         fixed = np.isinf(most)
         at = np.flatnonzero((most > 0) & ~fixed)
         check_balanced(problem, at, most.ravel()[at], load, host.field(fixed))
-        settle = partial(LargeSlip(newton, observed, most, load).run, d, warm=start is not None)
+        settle = partial(
+            LargeSlip(newton, observed, most, load, data).run, d, warm=start is not None
+        )
     try:
         try:
             grown = _grow(settle, model, material, d, tolerance, progress)
@@ -162,10 +165,10 @@ def converge(
             settle = partial(newton.run, d, observed, held)
             grown = _grow(settle, model, material, d, tolerance, progress)
     except ConvergenceError:
-        if load is not None:
+        if outside is not None:
             check_reach(d, problem)
         raise
-    if load is not None:
+    if outside is not None:
         check_reach(d, problem)
     displacement, rounding, least = _returned(model, problem, d, tolerance)
     distance = newton.distance
@@ -194,6 +197,13 @@ def converge(
         ),
         reach=reach,
     )
+
+
+def _measurements(problem: Problem, material: FiniteMaterial) -> Measurements | None:
+    """Return the data term and its observations, or None if there is no data term."""
+    if material.data is None:
+        return None
+    return Measurements(material.data, host.planes(problem.observed / np.float64(problem.unit)))
 
 
 class _Progress:

@@ -12,7 +12,11 @@ import numpy.typing as npt
 
 from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes
-from napari_hmrf.solver.optimizers.dead_loads import DeadLoads, SoftObservations
+from napari_hmrf.solver.optimizers.external_forces import (
+    ExternalForces,
+    Measurements,
+    SoftObservations,
+)
 from napari_hmrf.solver.optimizers.newton import Newton
 
 # Initial width of the kink, as a fraction of the largest distance from an observed position.
@@ -42,10 +46,20 @@ class LargeSlip:
         slips, and 0 if the component is not observed.
     load : ndarray, planes, or None
         Dead load on each component, or None if there is no load.
+    data : Measurements or None
+        Data term, or None.
     """
 
-    def __init__(self, newton: Newton, y: Planes, limit: Planes, load: Planes | None) -> None:
-        self._newton, self._y, self._limit, self._load = newton, y, limit, load
+    def __init__(
+        self,
+        newton: Newton,
+        y: Planes,
+        limit: Planes,
+        load: Planes | None,
+        data: Measurements | None,
+    ) -> None:
+        self._newton, self._y, self._limit = newton, y, limit
+        self._load, self._data = load, data
         self._observed: HeldPlanes = limit > 0
         self._fixed: HeldPlanes = np.isinf(limit)
         #: Limits of the observations that may slip; 0 at all other components.
@@ -79,7 +93,7 @@ class LargeSlip:
             # Large forces may have crushed tissue. Start again with all observations held, and let
             # an observation slip only if its force exceeds the limit.
             np.copyto(d, begun)
-            self._newton.external_forces = DeadLoads(self._load)
+            self._newton.external_forces = ExternalForces.of(self._load, self._data)
             self._newton.run(d, self._y, self._observed, tolerance)
             if not self._sharpen(d, self._slipping(d), tolerance):
                 raise
@@ -96,7 +110,7 @@ class LargeSlip:
         far = float(np.abs(np.where(self._yielding > 0, self._y - d, 0.0)).max())
         last = _LAST_WIDTH * tolerance
         width = max(_FIRST_WIDTH * far, last)
-        soft = SoftObservations(self._y, self._yielding, self._load)
+        soft = SoftObservations(self._y, self._yielding, self._load, self._data)
         while True:
             soft.sharpen(d, width)
             newton.external_forces = soft
@@ -119,7 +133,8 @@ class LargeSlip:
         newton = self._newton
         for _ in range(_EXCHANGES):
             held, pulls = self._observed & (sides == 0), sides * self._yielding
-            newton.external_forces = DeadLoads(pulls if self._load is None else pulls + self._load)
+            load = pulls if self._load is None else pulls + self._load
+            newton.external_forces = ExternalForces(load, self._data)
             try:
                 newton.run(d, self._y, held, tolerance)
             except ConvergenceError:
@@ -135,5 +150,5 @@ class LargeSlip:
 
     def _required(self, d: Planes, held: HeldPlanes) -> Planes:
         """Return the force that is required to hold each held component in place; 0 elsewhere."""
-        self._newton.external_forces = None if self._load is None else DeadLoads(self._load)
+        self._newton.external_forces = ExternalForces.of(self._load, self._data)
         return np.where(held, self._newton.forces(d), 0.0)

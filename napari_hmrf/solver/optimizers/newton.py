@@ -30,7 +30,7 @@ from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
 from napari_hmrf.solver.backends.rigid.poses import Poses
 from napari_hmrf.solver.optimizers.base import Monitor, Report, part_done
 from napari_hmrf.solver.optimizers.cycle import Cycle, Smoothing
-from napari_hmrf.solver.optimizers.dead_loads import DeadLoads
+from napari_hmrf.solver.optimizers.external_forces import ExternalForces
 from napari_hmrf.solver.optimizers.krylov import (
     RELIABLE_STEPS,
     USUAL_LEAST,
@@ -271,8 +271,8 @@ class Newton:
     strategy : Strategy
     poses : Poses
         Poses of the rigid bodies, and their constrained components.
-    external_forces : DeadLoads or None
-        Loads on the tissue, or None if there are none.
+    external_forces : ExternalForces or None
+        Loads on the tissue and forces of its data, or None if there are none.
     """
 
     def __init__(
@@ -282,7 +282,7 @@ class Newton:
         report: Report,
         strategy: Strategy,
         poses: Poses,
-        external_forces: DeadLoads | None,
+        external_forces: ExternalForces | None,
         work: Work,
     ) -> None:
         self._model, self._smoothing, self._report = model, smoothing, report
@@ -293,7 +293,7 @@ class Newton:
         self._strategy, self._poses = strategy, poses
         #: True if the run begins with a warm start, which is given up if it obstructs a pull.
         self.is_warm = False
-        #: Loads on the tissue, or None.
+        #: Loads on the tissue and forces of its data, or None.
         self.external_forces = external_forces
         self._tolerance = math.inf
         #: Distance of the field from equilibrium.

@@ -169,9 +169,13 @@ class ElasticMaterial:
         lame = lame_parameters(self.relative(FACTOR_STAND_IN, sites), nu, self.strain)
         of_first, of_shear = (each[..., None, None] for each in lame)
         matrices = np.asarray(of_first * first + of_shear * shear)
+        self.add_data(matrices, elements)
+        return matrices
+
+    def add_data(self, matrices: Float64Array, elements: tuple[slice, ...]) -> None:
+        """Add any data term to the matrices of elements in the given ranges, in place."""
         if self.data is not None:
             self.data.add_to_elements(matrices, elements, self._elements_around)
-        return matrices
 
     @cached_property
     def _elements_around(self) -> npt.NDArray[np.intp]:

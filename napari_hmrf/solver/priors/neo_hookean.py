@@ -14,7 +14,6 @@ import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.real_arrays import first_index
-from napari_hmrf.solver.data_term import refuse_data
 from napari_hmrf.solver.model_names import Plane
 from napari_hmrf.solver.priors.elastic import ElasticPrior, prior_in_words
 from napari_hmrf.solver.priors.elements import Float64Array
@@ -86,11 +85,16 @@ class NeoHookeanPrior:
         Raises
         ------
         ProblemError
-            If growth turns tissue inside out, if there is a precision or a landmark, or in the
-            cases of `ElasticPrior.resolved`.
+            If growth turns tissue inside out, if landmarks have a drift, or in the cases of
+            `ElasticPrior.resolved`.
         """
-        refuse_data(problem, "large motion")
         _check_growth(problem)
+        if problem.landmarks is not None and problem.landmarks.drift:
+            raise ProblemError(
+                "landmarks",
+                "cannot have a drift in large motion. Use ElasticPrior, or estimate no drift "
+                "(`drift=False`).",
+            )
         self.at_rest.resolved(problem)
         return self.in_force(problem)
 
@@ -106,7 +110,9 @@ class NeoHookeanPrior:
         """Return the properties of a problem's tissue that the kernels require."""
         same = self.at_rest.material(problem)
         growth = None if problem.loads is None else problem.loads.growth
-        return FiniteMaterial(same.m, same.poisson, same.strain, same.shape, growth=growth)
+        return FiniteMaterial(
+            same.m, same.poisson, same.strain, same.shape, same.data, growth=growth
+        )
 
     def limit(self, problem: Problem) -> Float64Array | None:
         """Return the force limits; see `ElasticPrior.limit`."""

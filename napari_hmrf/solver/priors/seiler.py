@@ -131,7 +131,7 @@ class SeilerPrior:
             If there is rigid tissue, if the blanket reading is used for a volume, or if there are
             loads, a precision or landmarks.
         """
-        refuse_data(problem, "the paper's prior")
+        refuse_data(problem)
         if problem.loads is not None:
             raise ProblemError(
                 "loads",

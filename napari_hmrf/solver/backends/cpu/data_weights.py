@@ -117,6 +117,55 @@ def add(thread, d, data, scale, inverse, out, row_totals):
         row_totals[n] = total
 
 
+@parallel
+def add_mixed(thread, d, mixed, inverse, out):
+    """Add the part of W d with the mixed components of W to `out`, except at fixed components."""
+    count = len(d)
+    for n in portion(thread, d.shape[1] - 4):
+        i = n + 2
+        for j in range(2, d.shape[2] - 2):
+            x, y = d[0, i, j], d[1, i, j]
+            first, second = mixed[0, i, j] * y, mixed[0, i, j] * x
+            if count == 3:
+                z = d[2, i, j]
+                third = mixed[1, i, j] * x + mixed[2, i, j] * y
+                first += mixed[1, i, j] * z
+                second += mixed[2, i, j] * z
+                out[2, i, j] += third if inverse[2, i, j] > float32(0) else float32(0)
+            out[0, i, j] += first if inverse[0, i, j] > float32(0) else float32(0)
+            out[1, i, j] += second if inverse[1, i, j] > float32(0) else float32(0)
+
+
+@parallel
+def smooth(thread, d, rest, inverse, mixed, out, scale, ahead, back):
+    """Compute a Chebyshev step: out = d + scale (D + W)^-1 rest + ahead d - back out.
+
+    `rest` is the residual, except for the part of W d with the mixed components of W. On entry,
+    `out` has the displacement before the last step, which was d - out.
+    """
+    count = len(d)
+    for n in portion(thread, d.shape[1] - 4):
+        i = n + 2
+        for j in range(2, d.shape[2] - 2):
+            x, y = d[0, i, j], d[1, i, j]
+            first = rest[0, i, j] - mixed[0, i, j] * y
+            second = rest[1, i, j] - mixed[0, i, j] * x
+            if count == 3:
+                z = d[2, i, j]
+                first -= mixed[1, i, j] * z
+                second -= mixed[2, i, j] * z
+                third = rest[2, i, j] - (mixed[1, i, j] * x + mixed[2, i, j] * y)
+                a = mixed[4, i, j] * first + mixed[5, i, j] * second + inverse[2, i, j] * third
+                out[2, i, j] = z + (scale * a + ahead * z - back * out[2, i, j])
+                a = inverse[0, i, j] * first + mixed[3, i, j] * second + mixed[4, i, j] * third
+                b = mixed[3, i, j] * first + inverse[1, i, j] * second + mixed[5, i, j] * third
+            else:
+                a = inverse[0, i, j] * first + mixed[1, i, j] * second
+                b = mixed[1, i, j] * first + inverse[1, i, j] * second
+            out[0, i, j] = x + (scale * a + ahead * x - back * out[0, i, j])
+            out[1, i, j] = y + (scale * b + ahead * y - back * out[1, i, j])
+
+
 # Transfer between levels
 #
 # Data with a large W almost prescribe the motion of a site. As at prescribed sites, an interpolated

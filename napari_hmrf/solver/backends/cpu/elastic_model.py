@@ -140,7 +140,7 @@ class CpuElasticLevel(SmallLevel):
     def relax(self, steps: Steps, from_zero: bool) -> None:
         """Run Chebyshev-Jacobi steps on `correction` for `load`."""
         if self.point_smoother is not None:
-            self._relax_with_points(steps, from_zero)
+            self._relax_with_data(steps, from_zero)
             return
         paces = paces_of(steps, from_zero)
         if from_zero:
@@ -159,7 +159,7 @@ class CpuElasticLevel(SmallLevel):
 
     def _restrict_residual(self, coarse: CpuElasticLevel) -> None:
         if self.point_smoother is not None:
-            self._restrict_with_points(coarse)
+            self._restrict_with_data(coarse)
             return
         starts, _, tissue = coarse.layout.rows
         about = *self._about, flat(coarse.load), starts, tissue, self.parts

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,10 @@ class CpuFiniteModelBase:
         Present material.
     springs : ndarray, planes, or None
         Values that the last call of `linearise` added to the diagonal.
+    shape : tuple of int
+        Grid, (H, W) or (D, H, W).
+    has_data : bool
+        True if all levels have arrays for a data term.
     rehearsed : tuple or None
         Prescribed components, and the ratio of the true error to the error that cycles estimate.
     bodies : list of tuple of ndarray
@@ -43,6 +48,8 @@ class CpuFiniteModelBase:
     bounds: tuple[float, float]
     material: FiniteMaterial | None = None
     springs: Planes | None = None
+    shape: tuple[int, ...] = ()
+    has_data: bool = False
     rehearsed: tuple[HeldPlanes, float] | None = None
     bodies: Sequence[BodySites] = ()
 
@@ -58,10 +65,27 @@ class CpuFiniteModelBase:
         self.bodies = bodies_of(material.m) if material.rigid else []
         self.levels[0].bodies = None
         self._set_material(material)
+        if material.data is not None:
+            self.levels[0].set_data(material.data)
 
     def _set_material(self, material: FiniteMaterial) -> None:
         """Compute the moduli of the elements."""
         raise NotImplementedError
+
+    def fits(self, material: FiniteMaterial) -> bool:
+        """Return whether `assemble` can reuse this model for a material."""
+        same = self.shape == tuple(material.m.shape)
+        return same and self.has_data == (material.data is not None)
+
+    def _hold(self, held: HeldPlanes, springs: Planes | None) -> None:
+        """Set the constraints, the springs and the data term of a new linear model."""
+        pairs = list(pairwise(self.levels))
+        if self.has_data:
+            for fine, coarse in pairs:
+                fine.coarsen_data(coarse)
+        self.levels[0].hold(held, springs)
+        for fine, coarse in pairs:
+            coarse.hold_as(fine)
 
     def poses(self, held: HeldPlanes) -> Poses:
         """Return the poses of the bodies with their prescribed components."""

@@ -18,6 +18,7 @@ from napari_hmrf.solver.backends.cpu.finite_base import CALM, CpuFiniteModelBase
 from napari_hmrf.solver.backends.cpu.forces import parts
 from napari_hmrf.solver.backends.cpu.level import Vector, paces_of
 from napari_hmrf.solver.backends.cpu.small_levels import SmallLevel, SmallLevels, divided
+from napari_hmrf.solver.backends.cpu.tangent_level import TangentLevelBase
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.solver.backends.rigid.bodies import Bodies, rigid_elements
 from napari_hmrf.solver.coarse_levels import grids
@@ -37,7 +38,7 @@ _CYCLED, _ALL, _OF_SOLID = int(tangents.PLANES), 21, 7
 _FIRMER = 20.0
 
 
-class TangentLevel(SmallLevel):
+class TangentLevel(TangentLevelBase, SmallLevel):
     """Level with tangents and springs; see `CpuLevel`.
 
     Attributes
@@ -66,24 +67,11 @@ class TangentLevel(SmallLevel):
         self.spans = np.zeros((grid[0], 2), dtype=np.int64)
         self.parts = parts(grid[0])
 
-    def hold(self, held: HeldPlanes, springs: Planes | None = None) -> None:
-        """Set the prescribed components and the springs of the finest level."""
+    def write_diagonal(self) -> None:
+        """Write the diagonal of the matrix for cycles to `inverse`."""
         tangents.diagonal(self.cycled, self.inverse)
-        self.weight = None if springs is None else springs.astype(np.float32)
-        if self.weight is None:
-            self._hold(held, self.inverse, self.spans)
-            return
-        np.add(self.inverse, self.weight, out=self.inverse, where=self.inverse > 0)
-        self._hold(held, self.inverse, self.spans)
-        self.pins += self.weight * self.inverse
 
-    def hold_as(self, finer: TangentLevel) -> None:
-        """Set the springs of sites near prescribed sites of the next finer level."""
-        tangents.diagonal(self.cycled, self.inverse)
-        self._set_springs(finer)
-
-    def relax(self, steps: Steps, from_zero: bool) -> None:
-        """Run Chebyshev-Jacobi steps on `correction` for `load`."""
+    def _relax_tissue(self, steps: Steps, from_zero: bool) -> None:
         paces = paces_of(steps, from_zero)
         if from_zero:
             tangents.start(self.load, self.inverse, paces[0, 0], self.correction)
@@ -93,15 +81,17 @@ class TangentLevel(SmallLevel):
             tangents.smooth(self.correction, *about, self._other, *pace, self.parts)
             self.correction, self._other = self._other, self.correction
 
-    def _restrict_residual(self, coarse: TangentLevel) -> None:
+    def _write_rest(self) -> Vector:
         about = self.load, self.cycled, self.inverse, *self._springs
         tangents.rest(self.correction, *about, self._left, self.parts)
-        self._restrict(self._left, coarse, coarse.load)
+        return self._left
 
     def apply(self, direction: Vector, image: Vector) -> float:
         """Compute ``image = A @ direction`` for the full system; return ``direction . image``."""
         about = direction, self.solved, self.inverse, True, *self._springs, image, self._rows
         tangents.apply(*about, self.parts)
+        if self.data is not None:
+            return self._add_data_image(direction, image)
         return float(self._rows.sum())
 
 
@@ -116,14 +106,19 @@ class CpuFiniteModel(CpuFiniteModelBase):
     ----------
     grid : tuple of int
         Grid, (H, W).
+    has_data : bool
+        True for a problem with a data term. Its small levels do not run in a single call.
     """
 
-    def __init__(self, grid: tuple[int, ...]) -> None:
-        large, little = divided(grids(grid))
+    def __init__(self, grid: tuple[int, ...], has_data: bool = False) -> None:
+        large, little = (grids(grid), ()) if has_data else divided(grids(grid))
         self.levels = [TangentLevel(each, finest=number == 0) for number, each in enumerate(large)]
         if little:
             self.levels += SmallLevels(little, _CYCLED, TangentLevel, tangents.cycle).levels
-        self.shape = grid
+        self.shape, self.has_data = grid, has_data
+        if has_data:
+            for level in self.levels:
+                level.allow_data()
         size = tuple(side + 4 for side in grid)
         self._solid: Planes = np.zeros((_OF_SOLID, *size))
         self._pull: Planes = np.zeros((2, *size))
@@ -197,9 +192,7 @@ class CpuFiniteModel(CpuFiniteModelBase):
             self._add_geometric_stiffness(d, forces, positive)
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
             tangents.coarsen(fine.cycled, coarse.cycled)
-        finest.hold(held, springs)
-        for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
-            coarse.hold_as(fine)
+        self._hold(held, springs)
 
     def _add_geometric_stiffness(self, d: Planes, forces: Planes, positive: float) -> None:
         """Add the rotational stiffness of bodies that results from the current forces on them."""
@@ -238,11 +231,12 @@ class CpuFiniteModel(CpuFiniteModelBase):
     @property
     def tangents(self) -> Tangents:
         """Linear model as an `Assembled` material, for direct factorizations."""
+        assert self.material is not None
         if not self.bodies:
-            return Tangents(self._solved)
+            return Tangents(self._solved, self.material)
         numbers = self._solved.copy()
         numbers[:, self._elements > 0] += _FIRMER * self._stiff
-        return Tangents(numbers)
+        return Tangents(numbers, self.material)
 
     def _work(self, kernel: Any, d: Planes, *others: Any) -> None:
         kernel(d, self._solid, self._about, *others, self._parts)
@@ -255,14 +249,16 @@ class Tangents:
     ----------
     numbers : ndarray, shape (21, H - 1, W - 1)
         Tangent of each element; see `finite_tangents`.
+    material : FiniteMaterial
+        Material, whose data term is added.
     """
 
     patch = 2
     margin = 0
     symmetric = True
 
-    def __init__(self, numbers: npt.NDArray[np.float32]) -> None:
-        self._numbers = numbers
+    def __init__(self, numbers: npt.NDArray[np.float32], material: FiniteMaterial) -> None:
+        self._numbers, self._material = numbers, material
 
     @property
     def parts(self) -> tuple[tuple[tuple[int, ...], Any], ...]:
@@ -272,7 +268,9 @@ class Tangents:
     def _matrices(self, rows: slice, cols: slice) -> npt.NDArray[np.float64]:
         numbers = self._numbers[:, rows, cols].astype(np.float64)
         tangent = np.moveaxis(numbers[_WHERE], (0, 1), (-2, -1))
-        return np.asarray(_DIFFERENCES.T @ tangent @ _DIFFERENCES)
+        matrices = np.asarray(_DIFFERENCES.T @ tangent @ _DIFFERENCES)
+        self._material.add_data(matrices, (rows, cols))
+        return matrices
 
 
 # Index into the 21 numbers of a tangent for each pair of D_r, D_c and D_x, two components each.
@@ -296,7 +294,7 @@ _model: Kept[CpuFiniteModel] = Kept()
 
 def the_model(material: FiniteMaterial) -> CpuFiniteModel:
     """Return the model of a material, in the memory of the last model if the grid is the same."""
-    grid = tuple(material.m.shape)
-    model = _model.get(lambda last: last.shape == grid, lambda: CpuFiniteModel(grid))
+    grid, has_data = tuple(material.m.shape), material.data is not None
+    model = _model.get(lambda last: last.fits(material), lambda: CpuFiniteModel(grid, has_data))
     model.assemble(material)
     return model

@@ -22,6 +22,7 @@ from napari_hmrf.solver.backends.cpu import (
 )
 from napari_hmrf.solver.backends.cpu.finite_base import CALM, CpuFiniteModelBase
 from napari_hmrf.solver.backends.cpu.level import Vector, paces_of, rows
+from napari_hmrf.solver.backends.cpu.tangent_level import TangentLevelBase
 from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
 from napari_hmrf.solver.backends.cpu.volume_model import VolumeLevel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
@@ -39,7 +40,7 @@ _UPPER = (0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)
 _SLAB = 16
 
 
-class BrickLevel(VolumeLevel):
+class BrickLevel(TangentLevelBase, VolumeLevel):
     """Tangents and springs of one level; see `CpuLevel`.
 
     Parameters
@@ -65,26 +66,13 @@ class BrickLevel(VolumeLevel):
         self._image = self.vector()
         self.exact: SecondDerivatives | None = None
 
-    def hold(self, held: HeldPlanes, springs: Planes | None = None) -> None:
-        """Set the prescribed components and the springs of the finest level."""
+    def write_diagonal(self) -> None:
+        """Write the diagonal of the matrix for cycles to `inverse`."""
         brick_tangents.diagonal(self.tangent, self.shape, self.inverse)
         if self.exact is not None:
             bernstein.add_diagonals(self.exact.walled, self.exact.safe_walls, self.inverse)
-        compute_thread.check_cancelled()
-        self.weight = None if springs is None else springs.astype(np.float32)
-        if self.weight is not None:
-            np.add(self.inverse, self.weight, out=self.inverse, where=self.inverse > 0)
-        self._hold(held, self.inverse, self.spans)
-        if self.weight is not None:
-            np.add(self.pins, self.weight * self.inverse, out=self.pins)
 
-    def hold_as(self, finer: BrickLevel) -> None:
-        """Set the springs of sites near prescribed sites of the next finer level."""
-        brick_tangents.diagonal(self.tangent, self.shape, self.inverse)
-        self._set_springs(finer)
-
-    def relax(self, steps: Steps, from_zero: bool) -> None:
-        """Run Chebyshev-Jacobi steps on `correction` for `load`."""
+    def _relax_tissue(self, steps: Steps, from_zero: bool) -> None:
         paces = paces_of(steps, from_zero)
         if from_zero:
             load, inverse, correction = map(rows, (self.load, self.inverse, self.correction))
@@ -104,13 +92,13 @@ class BrickLevel(VolumeLevel):
         if self.exact is not None:
             bernstein.add_images(d, self.exact.walled, self.exact.safe_walls, image)
 
-    def _restrict_residual(self, coarse: BrickLevel) -> None:
+    def _write_rest(self) -> Vector:
         weight, springs = self._springs
         self._apply_simply(self.correction, self._image)
         about = map(rows, (self._image, self.inverse, weight))
         arrays = rows(self.correction), rows(self.load), np.float32(1)
         brick_tangents.rest(*arrays, *about, springs, np.float32(1), rows(self._image))
-        self._restrict(self._image, coarse, coarse.load)
+        return self._image
 
     def apply(self, direction: Vector, image: Vector) -> float:
         """Compute ``image = A @ direction`` for the solved system; return their product."""
@@ -120,6 +108,8 @@ class BrickLevel(VolumeLevel):
         about = map(rows, (image, self.inverse, weight))
         arrays = rows(direction), rows(direction), np.float32(0)
         brick_tangents.rest(*arrays, *about, springs, np.float32(-1), rows(image))
+        if self.data is not None:
+            return self._add_data_image(direction, image)
         return self.product(direction, image)
 
 
@@ -201,13 +191,18 @@ class CpuFiniteVolumeModel(CpuFiniteModelBase):
     ----------
     grid : tuple of int
         Grid, (D, H, W).
+    has_data : bool
+        True for a problem with a data term.
     """
 
-    def __init__(self, grid: tuple[int, ...]) -> None:
+    def __init__(self, grid: tuple[int, ...], has_data: bool = False) -> None:
         self.levels: list[BrickLevel] = [
             BrickLevel(each, number == 0) for number, each in enumerate(grids(grid))
         ]
-        self.shape = grid
+        self.shape, self.has_data = grid, has_data
+        if has_data:
+            for level in self.levels:
+                level.allow_data()
         self._pull: Planes = np.zeros((3, *(size + 2 * PAD for size in grid)))
         self._energies, self._least = np.zeros((2, grid[0]))
         self._no_elements: Planes = np.zeros((0, 0, 0))
@@ -274,9 +269,7 @@ class CpuFiniteVolumeModel(CpuFiniteModelBase):
         # Cycles use the full matrices of these elements instead.
         for plane in finest.tangent[9:12]:
             plane[at] = 0
-        finest.hold(held, springs)
-        for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
-            coarse.hold_as(fine)
+        self._hold(held, springs)
         self.clear()
 
     def length(
@@ -293,7 +286,10 @@ class CpuFiniteVolumeModel(CpuFiniteModelBase):
         """Linear model as an `Assembled` material, for direct factorizations."""
         exact = self.levels[0].exact
         assert exact is not None
-        return BrickMatrices(exact.matrices())
+        assert self.material is not None
+        matrices = exact.matrices()
+        self.material.add_data(matrices, tuple(slice(0, size - 1) for size in self.shape))
+        return BrickMatrices(matrices)
 
 
 class BrickMatrices:
@@ -323,7 +319,9 @@ _model: Kept[CpuFiniteVolumeModel] = Kept(is_large=True)
 
 def the_model(material: FiniteMaterial) -> CpuFiniteVolumeModel:
     """Return the model of a material, in the memory of the last model if the grid is the same."""
-    grid = tuple(material.m.shape)
-    model = _model.get(lambda last: last.shape == grid, lambda: CpuFiniteVolumeModel(grid))
+    grid, has_data = tuple(material.m.shape), material.data is not None
+    model = _model.get(
+        lambda last: last.fits(material), lambda: CpuFiniteVolumeModel(grid, has_data)
+    )
     model.assemble(material)
     return model

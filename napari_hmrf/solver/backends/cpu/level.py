@@ -73,7 +73,7 @@ class CpuLevel:
     points: PointTerm | None = None
     #: Correction of smoothing steps for landmarks.
     point_smoother: PointSmoother | None = None
-    #: Diagonal of the tissue's matrix, if there are landmarks.
+    #: Diagonal of the tissue's matrix, if residuals are restricted with the data term.
     diagonal: Vector | None = None
     pins: Vector
     spans: Spans
@@ -276,27 +276,30 @@ class CpuLevel:
         """Compute one Chebyshev step (scale, ahead, back) from `correction` to `_other`."""
         raise NotImplementedError
 
-    def _step_with_points(self, pace: Vector) -> None:
-        """Compute one Chebyshev step with the landmarks, from `correction` to `_other`."""
+    def _step_with_data(self, pace: Vector) -> None:
+        """Compute one Chebyshev step, with any landmarks, from `correction` to `_other`."""
         smoother, (scale, ahead, back) = self.point_smoother, map(float, pace)
-        assert smoother is not None
+        if smoother is None:
+            self._step_simply(pace)
+            return
         now, before = smoother.moved(self.correction), smoother.moved(self._other)
         self._step_simply(pace)
         step = smoother.moved(self._other) - (1 + ahead) * now + back * before
         smoother.subtract(step + scale * now, self._other)
 
-    def _relax_with_points(self, steps: Steps, from_zero: bool) -> None:
+    def _relax_with_data(self, steps: Steps, from_zero: bool) -> None:
+        """Run smoothing steps, with the landmarks if there are any."""
         if from_zero:
             self.correction.fill(0)
             self._other.fill(0)
         for pace in paces_of(steps, from_zero=False):
-            self._step_with_points(pace)
+            self._step_with_data(pace)
             self.correction, self._other = self._other, self.correction
             compute_thread.check_cancelled()
 
-    def _restrict_with_points(self, coarse: Self) -> None:
+    def _restrict_with_data(self, coarse: Self) -> None:
         """Restrict the filtered residual, which is D times a step of size 1."""
-        self._step_with_points(_UNIT_STEP)
+        self._step_with_data(_UNIT_STEP)
         assert self.diagonal is not None
         self._other -= self.correction
         self._other *= self.diagonal

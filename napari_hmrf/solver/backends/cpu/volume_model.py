@@ -92,6 +92,17 @@ class VolumeLevel(CpuLevel):
     def _interpolate(self, coarse: Self) -> None:
         volume_transfer.interpolate_planes(coarse.correction, self.correction, self.inverse)
 
+    def _add_relaxed(self, coarse: Self, out: Vector) -> None:
+        assert self.weight is not None
+        assert self.mixed is not None
+        springs = map(flat, (self.inverse, self.weight, self.mixed))
+        vectors = self._with_tables(coarse.correction, coarse, out)
+        volume.add_relaxed(*vectors, *springs, self.reach)
+
+    def _with_tables(self, of_coarse: Vector, coarse: Self, of_fine: Vector) -> tuple[Values, ...]:
+        """Return vectors of the next coarser level and of this level, each with its table."""
+        return flat(of_coarse), coarse.layout.starts, flat(of_fine), self.layout.starts
+
 
 class CpuVolumeLevel(VolumeLevel):
     """Level of an elastic volume with its elements and springs.
@@ -169,7 +180,7 @@ class CpuVolumeLevel(VolumeLevel):
     def relax(self, steps: Steps, from_zero: bool) -> None:
         """Run Chebyshev-Jacobi steps on `correction` for `load`."""
         if self.point_smoother is not None:
-            self._relax_with_points(steps, from_zero)
+            self._relax_with_data(steps, from_zero)
             return
         paces = paces_of(steps, from_zero)
         if from_zero:
@@ -204,7 +215,7 @@ class CpuVolumeLevel(VolumeLevel):
 
     def _restrict_residual(self, coarse: CpuVolumeLevel) -> None:
         if self.point_smoother is not None:
-            self._restrict_with_points(coarse)
+            self._restrict_with_data(coarse)
             return
         # `_other` can store the residual: the next step has no momentum and does not read `_other`.
         if self.mixed is None:
@@ -222,17 +233,6 @@ class CpuVolumeLevel(VolumeLevel):
     def _interpolate(self, coarse: Self) -> None:
         vectors = self._with_tables(coarse.correction, coarse, self.correction)
         volume.interpolate(*vectors, flat(self.inverse), self.reach)
-
-    def _add_relaxed(self, coarse: Self, out: Vector) -> None:
-        assert self.weight is not None
-        assert self.mixed is not None
-        springs = map(flat, (self.inverse, self.weight, self.mixed))
-        vectors = self._with_tables(coarse.correction, coarse, out)
-        volume.add_relaxed(*vectors, *springs, self.reach)
-
-    def _with_tables(self, of_coarse: Vector, coarse: Self, of_fine: Vector) -> tuple[Values, ...]:
-        """Return vectors of the next coarser level and of this level, each with its table."""
-        return flat(of_coarse), coarse.layout.starts, flat(of_fine), self.layout.starts
 
     def apply(self, direction: Vector, image: Vector) -> float:
         """Compute ``image = A @ direction``; return ``direction . image``."""

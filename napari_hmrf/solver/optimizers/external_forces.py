@@ -1,46 +1,69 @@
-"""External forces on tissue in large motion: dead loads, and observations that may slip."""
+"""External forces on tissue in large motion: dead loads, data, and observations that may slip."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.solver.backends.linear import Planes
+from napari_hmrf.solver.data_term import DataTerm
 from napari_hmrf.solver.optimizers.loading import work_of
 
 # Largest force of an observation in the tangent system, as a fraction of its limit.
 _LARGEST_SHARE = 1 - 1e-9
 
 
-class DeadLoads:
-    """Dead loads: forces that do not depend on the displacement.
+class Measurements(NamedTuple):
+    """Data term of a problem with its observed displacement, as planes in pixels."""
+
+    term: DataTerm
+    observed: Planes
+
+
+class ExternalForces:
+    """Dead loads, which do not depend on the displacement, and forces of the data term.
 
     Parameters
     ----------
     load : ndarray, planes, or None
         Force on each component, or None if there is no load.
+    data : Measurements or None
+        Data term, or None. The linear model contains its second derivatives.
     """
 
-    def __init__(self, load: Planes | None) -> None:
-        self._load = load
+    def __init__(self, load: Planes | None, data: Measurements | None = None) -> None:
+        self._load, self._data = load, data
+
+    @classmethod
+    def of(cls, load: Planes | None, data: Measurements | None) -> ExternalForces | None:
+        """Return the external forces, or None if there are none."""
+        return None if load is None and data is None else cls(load, data)
 
     def energy(self, d: Planes) -> float:
-        """Return the potential energy of the loads at a displacement."""
-        return -work_of(self._load, d)
+        """Return the potential energy of the loads and the data at a displacement."""
+        energy = -work_of(self._load, d)
+        if self._data is not None:
+            energy += self._data.term.derivative(d, self._data.observed)[1]
+        return energy
 
     def forces(self, d: Planes) -> Planes:
         """Return the gradient of the potential energy with respect to the displacement."""
-        return np.zeros_like(d) if self._load is None else -self._load
+        if self._data is None:
+            return np.zeros_like(d) if self._load is None else -self._load
+        forces, _ = self._data.term.derivative(d, self._data.observed)
+        return forces if self._load is None else forces - self._load
 
     def springs(self, d: Planes) -> Planes | None:
-        """Return the diagonal of the Hessian of the potential energy; None if it is 0."""
+        """Return values to add to the diagonal of the linear model; None if they are 0."""
         return None
 
     def follow(self, before: Planes, after: Planes) -> None:
         """Update the forces after a step; dead loads do not change."""
 
 
-class SoftObservations(DeadLoads):
+class SoftObservations(ExternalForces):
     """Observations with a force of at most p, and an energy that is smooth near y.
 
     Their energy is ``p (sqrt(r^2 + width^2) - width)`` with ``r = d - y``; for a width of 0 it is
@@ -56,10 +79,14 @@ class SoftObservations(DeadLoads):
         Largest force p of each component; 0 if the component is not observed.
     load : ndarray, planes, or None
         Dead load on each component.
+    data : Measurements or None
+        Data term.
     """
 
-    def __init__(self, y: Planes, limit: Planes, load: Planes | None) -> None:
-        super().__init__(load)
+    def __init__(
+        self, y: Planes, limit: Planes, load: Planes | None, data: Measurements | None = None
+    ) -> None:
+        super().__init__(load, data)
         self._at = np.flatnonzero(limit)
         self._y, self._limit = y.ravel()[self._at], limit.ravel()[self._at]
         self._shape, self._width = limit.shape, 1.0
