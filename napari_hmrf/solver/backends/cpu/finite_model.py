@@ -7,6 +7,7 @@ levels are averages. All linear models share the same memory.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -55,6 +56,7 @@ class TangentLevel(TangentLevelBase, SmallLevel):
         memory: Iterator[Vector] | None = None,
         *,
         finest: bool = False,
+        has_data: bool = False,
     ) -> None:
         super().__init__(grid, memory)
         self.pins = self.vector()
@@ -62,6 +64,8 @@ class TangentLevel(TangentLevelBase, SmallLevel):
         self._left = self.vector()
         shape = self.inverse.shape[1:]
         self.cycled = _planes(_CYCLED, shape) if memory is None else self.vector()
+        if memory is not None and has_data:
+            self.cycled, self.mixed = self.cycled[:_CYCLED], self.cycled[_CYCLED:]
         self._memory = None
         self.solved = _planes(_ALL, shape) if finest else None
         self.spans = np.zeros((grid[0], 2), dtype=np.int64)
@@ -107,14 +111,17 @@ class CpuFiniteModel(CpuFiniteModelBase):
     grid : tuple of int
         Grid, (H, W).
     has_data : bool
-        True for a problem with a data term. Its small levels do not run in a single call.
+        True for a problem with a data term.
     """
 
     def __init__(self, grid: tuple[int, ...], has_data: bool = False) -> None:
-        large, little = (grids(grid), ()) if has_data else divided(grids(grid))
+        large, little = divided(grids(grid))
         self.levels = [TangentLevel(each, finest=number == 0) for number, each in enumerate(large)]
         if little:
-            self.levels += SmallLevels(little, _CYCLED, TangentLevel, tangents.cycle).levels
+            level = partial(TangentLevel, has_data=has_data)
+            cycle = tangents.data_cycle if has_data else tangents.cycle
+            planes = int(tangents.DATA_PLANES if has_data else tangents.PLANES)
+            self.levels += SmallLevels(little, planes, level, cycle).levels
         self.shape, self.has_data = grid, has_data
         if has_data:
             for level in self.levels:

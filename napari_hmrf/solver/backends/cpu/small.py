@@ -63,16 +63,17 @@ def cycle(values, table, shape, down, up, coarsest):
     _cycle(values, table, shape, down, up, coarsest)
 
 
-# With a data term, the planes of a level are also those of `data_weights.couple`: the mixed
+# With a data term, the last two planes of a level are those of `data_weights.couple`: the mixed
 # component of W, and that of the block of the smoother.
 
 
 @callee
-def _start_data(load, own, inverse, d, scale):
+def start_data(load, own, inverse, d, scale):
     """Compute the first step from zero, ``d = scale * (D + W)^-1 load``."""
+    of_block = own[-1]
     for k in range(_length(d)):
         j = _FIRST + k
-        row, col, mixed = load[0, _FIRST, j], load[1, _FIRST, j], own[3, _FIRST, j]
+        row, col, mixed = load[0, _FIRST, j], load[1, _FIRST, j], of_block[_FIRST, j]
         d[0, _FIRST, j] = scale * (inverse[0, _FIRST, j] * row + mixed * col)
         d[1, _FIRST, j] = scale * (mixed * row + inverse[1, _FIRST, j] * col)
 
@@ -102,7 +103,7 @@ def _blocks(inverse, weight, own):
     return (
         (inverse[0, _FIRST], inverse[1, _FIRST]),
         (weight[0, _FIRST], weight[1, _FIRST]),
-        (own[2, _FIRST], own[3, _FIRST]),
+        (own[-2, _FIRST], own[-1, _FIRST]),
     )
 
 
@@ -121,7 +122,7 @@ def _residual_data(d, load, own, inverse, weight, shape, out):
 
 
 @callee
-def _add_coarse_data(coarse, d, spare, own, inverse, weight):
+def add_coarse_data(coarse, d, spare, own, inverse, weight):
     """Add the interpolated coarse correction, filtered (`data_weights`)."""
     spare[:] = 0
     small_cycle.interpolate(ALONE, coarse, spare, inverse)
@@ -135,7 +136,7 @@ def _add_coarse_data(coarse, d, spare, own, inverse, weight):
 
 
 _data_cycle = small_cycle.cycle_of(
-    DATA_PLANES, _start_data, _smooth_data, _residual_data, _add_coarse_data
+    DATA_PLANES, start_data, _smooth_data, _residual_data, add_coarse_data
 )
 
 

@@ -29,7 +29,7 @@ class TangentLevelBase(CpuLevel):
         axes = len(self.grid)
         count = axes * (axes - 1) // 2
         self.data = self.layout.vector(axes + count)
-        self.mixed = self.layout.vector(2 * count)
+        self.mixed = self.layout.vector(2 * count) if self.mixed is None else self.mixed
         self.weight = self.vector() if self.weight is None else self.weight
 
     def coarsen_data(self, coarse: TangentLevelBase) -> None:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numba import float32
 
-from napari_hmrf.solver.backends.cpu import small_cycle
+from napari_hmrf.solver.backends.cpu import small, small_cycle
 from napari_hmrf.solver.backends.cpu.compiled import (
     bounds_of_part,
     callee,
@@ -20,10 +20,13 @@ from napari_hmrf.solver.backends.cpu.compiled import (
     portion,
     strict,
 )
+from napari_hmrf.solver.backends.cpu.data_weights import filtered
 from napari_hmrf.solver.backends.cpu.vectors import row_product
 
 #: Number of model planes per level: 13 numbers of each tangent, and its damping.
 PLANES = np.int64(14)
+#: Same with a data term, whose planes are the last two (`small`).
+DATA_PLANES = np.int64(16)
 
 
 @callee
@@ -251,3 +254,49 @@ _cycle = small_cycle.cycle_of(PLANES, small_cycle.start, _smooth, _rest, small_c
 def cycle(values, table, down, up, coarsest):
     """Run a V-cycle over small levels; see `small_cycle.cycle_of`."""
     _cycle(values, table, float32(1), down, up, coarsest)
+
+
+@callee
+def _smooth_data(d, load, own, inverse, weight, springs, out, scale, ahead, back):
+    """Compute a Chebyshev step with a data term on one thread."""
+    width = d.shape[2]
+    rest = np.zeros_like(d)
+    _rest_part(d, load, own, inverse, weight, springs, rest, 0, d.shape[1] - 4)
+    for i in range(2, d.shape[1] - 2):
+        for j in range(2, width - 2):
+            row = rest[0, i, j] - own[14, i, j] * d[1, i, j]
+            col = rest[1, i, j] - own[14, i, j] * d[0, i, j]
+            mixed = own[15, i, j]
+            first = scale * (inverse[0, i, j] * row + mixed * col) + ahead * d[0, i, j]
+            second = scale * (mixed * row + inverse[1, i, j] * col) + ahead * d[1, i, j]
+            out[0, i, j] = d[0, i, j] + (first - back * out[0, i, j])
+            out[1, i, j] = d[1, i, j] + (second - back * out[1, i, j])
+
+
+@callee
+def _rest_data(d, load, own, inverse, weight, springs, out):
+    """Write the filtered residual to `out`, or 0 at fixed components, on one thread."""
+    _rest_part(d, load, own, inverse, weight, springs, out, 0, d.shape[1] - 4)
+    for i in range(2, d.shape[1] - 2):
+        pairs = (
+            (inverse[0, i], inverse[1, i]),
+            (weight[0, i], weight[1, i]),
+            (own[14, i], own[15, i]),
+        )
+        for j in range(2, d.shape[2] - 2):
+            row = out[0, i, j] - own[14, i, j] * d[1, i, j]
+            col = out[1, i, j] - own[14, i, j] * d[0, i, j]
+            row, col = filtered(row, col, *pairs, j)
+            out[0, i, j] = row if inverse[0, i, j] > float32(0) else float32(0)
+            out[1, i, j] = col if inverse[1, i, j] > float32(0) else float32(0)
+
+
+_data_cycle = small_cycle.cycle_of(
+    DATA_PLANES, small.start_data, _smooth_data, _rest_data, small.add_coarse_data
+)
+
+
+@strict
+def data_cycle(values, table, down, up, coarsest):
+    """Run a V-cycle over small levels of a model with a data term."""
+    _data_cycle(values, table, float32(1), down, up, coarsest)
