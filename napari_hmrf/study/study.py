@@ -420,7 +420,7 @@ class Motion(Conditions):
         Required with `observed`.
     measured : MeasuredMotion, optional
         Measured displacements that tissue follows as far as its stiffness allows, for example of a
-        registration; for the elastic model only. Other motion takes precedence.
+        registration; for the elastic model and large motion. Other motion takes precedence.
     drawing : Drawing
         Arrows, landmarks and brush strokes.
     weight, cavity
@@ -431,7 +431,8 @@ class Motion(Conditions):
         landmarks more closely.
     drift : bool
         If True, a uniform strain of all tissue that costs no energy is estimated together with
-        landmarks with a standard deviation; see `Landmarks`. Without such landmarks, no effect.
+        landmarks with a standard deviation; see `Landmarks`. For the elastic model only. Without
+        such landmarks, no effect.
 
     Raises
     ------

@@ -123,6 +123,13 @@ def _uncertain_landmarks(content: _Content) -> _Found | None:
     return _Found(("drawing",), f"has {pairs} with an uncertainty (±)")
 
 
+def _drift(content: _Content) -> _Found | None:
+    found = _uncertain_landmarks(content)
+    if found is None or not content.study.motion.drift:
+        return None
+    return _Found(found.parts, "has landmarks with an affine drift")
+
+
 def _measured_motion(content: _Content) -> _Found | None:
     is_measured = content.study.motion.measured is not None
     return _Found(("registration",), "measures the motion") if is_measured else None
@@ -139,8 +146,9 @@ _INPUTS = (
         "the elastic model that holds by confidence (`penalty=None`)",
         is_exact=True,
     ),
-    _Input(_uncertain_landmarks, _LINEAR, "set ± to 0 (`sd=0`)"),
-    _Input(_measured_motion, _LINEAR, "undo the registration (`measured=None`)"),
+    _Input(_uncertain_landmarks, ELASTIC, "set ± to 0 (`sd=0`)"),
+    _Input(_drift, _LINEAR, "estimate no drift (`drift=False`)"),
+    _Input(_measured_motion, ELASTIC, "undo the registration (`measured=None`)"),
 )
 
 

@@ -113,7 +113,7 @@ class ModelForm(Container):
         Poisson's ratio of the elastic model if the tissue is a stiffness image; for labels, the
         ratios are in the tissue table.
     strain : FloatSpinBox
-        Typical strain of the elastic model, in percent.
+        Typical strain of elastic tissue, in percent.
     drift : CheckBox
         Ticked if an affine drift is estimated with uncertain landmarks.
     in_detail : DetailsForm
@@ -166,6 +166,7 @@ class ModelForm(Container):
         # A menu emits no change when the current model is chosen again.
         self.model.native.activated.connect(lambda _: self._on_model(self.model.value))
         self.plane.changed.connect(self._show)
+        self.drift.changed.connect(self._show)
         self._show()
 
     @property
@@ -211,6 +212,8 @@ class ModelForm(Container):
         self._when.show_text(when_to_take(model, None if self._volume else self.plane.value))
         self.plane.visible = self.is_elastic and not self._volume
         self.poisson.visible = self.is_elastic and isinstance(self._tissue, Image)
-        self.strain.visible = self.drift.visible = model == "elastic"
+        self.strain.visible = self.is_elastic
+        # A drift that another model refuses can be switched off.
+        self.drift.visible = model == "elastic" or (self.is_elastic and self.drift.value)
         for field in self.in_detail:
             field.visible = field is self.in_detail.device or field.name in detail_names(model)

@@ -56,14 +56,20 @@ INPUTS = {
     "uncertain landmark": (
         drawn(Landmark((5, 5), (6, 5), 1.0, sd=0.5)),
         "drawing",
+        ELASTIC,
+    ),
+    "drift": (
+        study(drawing=Drawing((Landmark((5, 5), (6, 5), 1.0, sd=0.5),)), drift=True),
+        "drawing",
         ("elastic",),
     ),
-    "measured motion": (study(measured=MEASURED), "registration", ("elastic",)),
+    "measured motion": (study(measured=MEASURED), "registration", ELASTIC),
     "infinite stiffness": (
         replace(study(), tissue=Tissue(stiffness=np.where(LABELS == 2, np.inf, 1.0))),
         "tissue",
         ELASTIC,
     ),
+    "drift without an uncertain landmark": (study(drift=True), "", ALL),
     "exact landmark": (drawn(Landmark((5, 5), (6, 5), 1.0)), "", ALL),
     "rigid tissue that is not painted": (study(*PLAIN, Material(3, "bone", np.inf)), "", ALL),
 }

@@ -292,11 +292,14 @@ def test_large_motion_is_solved_once_the_sliding_surface_is_removed(dock, do_and
     assert "not updated" not in dock.status
 
 
-def test_large_motion_is_not_offered_beside_an_uncertain_landmark(dock, do_and_wait):
+def test_large_motion_is_offered_beside_all_inputs_that_it_supports(dock, do_and_wait):
     do_and_wait(Screen(dock).cell("tumour", "grows").write, "150")
-    assert offers(dock, "Use large motion")
     mark = Landmark((34, 8), (0, 0), 3.0, sd=2.0)
     do_and_wait(setattr, dock, "drawing", Drawing((mark,)))
+    assert dock.solution.count_folds() > 0
+    assert offers(dock, "Use large motion")
+    slide = Stroke("slide", (((5, 1), (30, 1)),), 1.5)
+    do_and_wait(setattr, dock, "drawing", Drawing((slide,)))
     assert dock.solution.count_folds() > 0
     assert not offers(dock, "Use large motion")
 

@@ -9,6 +9,7 @@ from napari_hmrf.layers.result_layers import CompleteResult, Outputs
 from napari_hmrf.notes import Note
 from napari_hmrf.study.measured_motion import MeasuredMotion
 from napari_hmrf.study.study import Grid, Motion, Study
+from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.ui.messages import OFFER, marks_of, offer_of, warnings_of
 
 
@@ -34,12 +35,14 @@ def test_the_label_of_a_warning_without_folds_names_the_issue_in_a_few_words(not
     assert warnings_of(done, "nothing")[1] == label
 
 
-def test_large_motion_is_offered_for_folds_unless_the_motion_was_measured():
+def test_large_motion_is_offered_for_folds_unless_it_does_not_support_the_study():
     y, precision = np.zeros((4, 4, 2), np.float32), np.zeros((4, 4, 2, 2), np.float32)
-    for measured in (None, MeasuredMotion(y, precision)):
-        study = Study(Grid((4, 4), (1, 1)), motion=Motion(measured=measured))
+    marks = np.ones((4, 4), np.uint8)
+    slides = Motion(labels=marks, rules=(BoundaryRule(1, "slide"),))
+    for motion, offer in ((Motion(measured=MeasuredMotion(y, precision)), OFFER), (slides, "")):
+        study = Study(Grid((4, 4), (1, 1)), motion=motion)
         outputs = Outputs(SimpleNamespace(parts=None), {}, 99)
         done = CompleteResult(SimpleNamespace(study=study, solution=None), outputs, ())
-        assert offer_of(done, "elastic") == (OFFER if measured is None else "")
+        assert offer_of(done, "elastic") == offer
         assert offer_of(done, "large motion") == ""
     assert offer_of(None, "elastic") == ""

@@ -197,6 +197,18 @@ def test_choosing_the_paper_model_restores_the_settings_of_the_paper(widget, sma
     np.testing.assert_array_equal(again.energy, papers.energy)
 
 
+def test_the_typical_strain_belongs_to_elastic_models_and_a_drift_to_linear_ones(qtbot):
+    form = ModelForm()
+    qtbot.addWidget(form.native)
+    for model, has_strain in (("elastic", True), ("large motion", True), ("paper", False)):
+        form.choice = ModelChoice(model)
+        assert form.strain.native.isHidden() != has_strain
+        assert form.drift.native.isHidden() == (model != "elastic")
+    # A drift that was ticked before can be switched off.
+    form.choice = ModelChoice("large motion", drift=True)
+    assert not form.drift.native.isHidden()
+
+
 def test_settings_that_cannot_be_typed_are_shown(qtbot):
     form = ModelForm()
     qtbot.addWidget(form.native)

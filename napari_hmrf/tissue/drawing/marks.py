@@ -123,11 +123,11 @@ class Landmark(_Mark):
         As for an `Arrow`; without effect if `sd` is above 0.
     sd : float
         Standard deviation of the difference between target and source, in the unit of the pixel
-        spacing, for the elastic model only. At 0 (or None), the landmark is exact: the patch moves
-        with it, and so do the pixels around the source that no earlier mark holds. Above 0, there
-        is no patch: the displacement of the point, which may be between pixels, is weighed against
-        the strain of the tissue. Values below a thousandth of a pixel have the effect of a
-        thousandth of a pixel.
+        spacing, for the elastic model and large motion. At 0 (or None), the landmark is exact: the
+        patch moves with it, and so do the pixels around the source that no earlier mark holds.
+        Above 0, there is no patch: the displacement of the point, which may be between pixels, is
+        weighed against the strain of the tissue. Values below a thousandth of a pixel have the
+        effect of a thousandth of a pixel.
 
     Raises
     ------

@@ -31,7 +31,8 @@ _UNUSED = "Not used: the landmark has an uncertainty (±). At an uncertainty of 
 _UNSURE = (
     "Standard deviation of the landmark's displacement. 0: exact, so that tissue within the radius "
     "moves to the target. Above 0: only the tissue at the point is moved, not a patch, and it may "
-    "miss the target by about this distance if this reduces its strain; for the elastic model only"
+    "miss the target by about this distance if this reduces its strain; for the elastic model and "
+    "large motion"
 )
 #: Attributes of marks by the name of the field that sets them, if the names differ.
 _ATTRIBUTES = {"stroke_confidence": "confidence", "material": "label"}

@@ -18,7 +18,7 @@ _COLUMN = 3
 _SD_TIP = (
     "Standard deviation of the landmark. 0: exact, for a patch of tissue. Above 0: only the tissue "
     "at the point is moved, and it may miss the target by about this distance, for the elastic "
-    "model only. Double-click to change it."
+    "model and large motion. Double-click to change it."
 )
 _BAR_TIP = (
     "Uncertainty of the result: standard deviation of the displacement of the tissue around the "

@@ -84,10 +84,10 @@ def test_small_motion_is_that_of_linear_elasticity(axes):
 
 
 def test_random_data_lead_to_the_field_of_an_independent_method():
-    run = campaigns.run("large-data", (0, 2, 3, 4, 10, 16))
+    run = campaigns.run("large-data", (0, 3, 4, 10))
     assert {verdict.kinds["rigid tissue"] for _, verdict in run.verdicts} == {"none", "some"}
     outcomes = [verdict.outcome for _, verdict in run.verdicts]
-    assert outcomes.count("right") == 6
+    assert outcomes.count("right") == 4
     assert run.is_right, campaigns.report(run)
 
 
@@ -112,6 +112,20 @@ def replace_data(problem, **changes):
     """Return a problem with other fields."""
     fields = "observed", "confidence", "stiffness", "spacing", "precision", "landmarks"
     return Problem(**{name: getattr(problem, name) for name in fields} | changes)
+
+
+def test_landmarks_that_fold_elastic_tissue_do_not_fold_it_in_large_motion():
+    points = np.array([[10.0, 10.0], [10.0, 20.0], [20.0, 10.0], [20.0, 20.0]]) + 0.4
+    steps = np.array([[4, 0], [-4, 2], [0, -4], [4, 4]])
+    marks = Landmarks(points, points + steps, sd=0.05)
+    c = np.zeros((30, 30, 2))
+    c[[0, -1]] = c[:, [0, -1]] = 1
+    problem = Problem(observed=0 * c, confidence=c, stiffness=np.ones((30, 30)), landmarks=marks)
+    assert solve(problem, ElasticPrior(0.3), backend="cpu").count_folds() > 0
+    found = solve(problem, NeoHookeanPrior(0.3), backend="cpu")
+    assert found.count_folds() == 0
+    assert found.reach.unbalanced_at is None
+    assert np.abs(found.at(points) - steps).max() < 0.5
 
 
 def test_strong_tensors_need_few_cycles():

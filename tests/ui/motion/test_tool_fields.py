@@ -76,13 +76,13 @@ def test_a_new_landmark_has_the_uncertainty_in_the_field(pulling_beside, settle)
 
 def test_other_models_refuse_an_uncertain_landmark_with_a_message(pulling_beside, settle):
     touch, dock = pulling_beside
-    dock.model = "large motion"
+    dock.model = "paper"
     Screen(dock).press("Landmark")
     dock.fields.sd.value = 0.5
     touch.drag((30, 30), (32, 30))
     settle(dock)
-    assert "has a landmark with an uncertainty (±), which the model 'large motion'" in dock.status
-    dock.model = "elastic"
+    assert "has a landmark with an uncertainty (±), which the model 'paper'" in dock.status
+    dock.model = "large motion"
     settle(dock)
     assert dock.solution is not None
     assert "uncertainty" not in dock.status
@@ -101,7 +101,7 @@ def test_a_larger_typical_strain_brings_tissue_closer_to_an_uncertain_landmark(
     settle(dock)
     assert before + 0.2 < dock.solution.displacement[30, 30, 0] < 4
     assert dock.study.motion.typical_strain == 0.4
-    dock.model = "large motion"
+    dock.model = "paper"
     assert not dock._form.model.strain.native.isVisibleTo(dock.native)
 
 
@@ -143,7 +143,11 @@ def test_a_drift_is_ticked_undone_and_saved_with_the_study(pulling_beside, settl
     saved = read_study(write_study(tmp_path / "a.study", dock.study)).study
     assert saved.motion.drift
     dock.model = "large motion"
-    assert not box.isVisibleTo(dock.native)
+    settle(dock)
+    assert "has landmarks with an affine drift, which the model 'large motion'" in dock.status
+    box.click()
+    settle(dock)
+    assert "drift" not in dock.status
 
 
 def test_a_landmark_drawn_later_outside_tissue_is_named(pulling_beside, settle):
