@@ -135,6 +135,9 @@ def _measured_motion(content: _Content) -> _Found | None:
     return _Found(("registration",), "measures the motion") if is_measured else None
 
 
+# The cliques of the paper have no stress that could balance a load, and no unit that data could be
+# compared with. The direction of a sliding surface is that at rest, which large motion turns. A
+# drift costs no energy at small strain only.
 _INPUTS = (
     _Input(_sliding_surface, _LINEAR, "remove the sliding surface"),
     _Input(_sliding_tissue, _LINEAR, "let no tissue slide (`slides=False`)"),
