@@ -477,7 +477,7 @@ def without_factors(monkeypatch):
 
 @pytest.mark.usefixtures("without_factors")
 def test_a_volume_beyond_single_precision_is_iterated_in_double_precision():
-    problem, heard = compressed_volume(stiff_cubes(12, 1e6)), []
+    problem, heard = compressed_volume(stiff_cubes(11, 1e6)), []
     found = solve(problem, optimizer=PRECISE, progress=lambda m: heard.append(m.message))
     assert error_in_voxels(found, problem, 0.45) <= found.convergence.error <= PRECISE.tolerance
     assert found.convergence.way == "cycles"

@@ -107,7 +107,7 @@ def test_weight_along_an_interface_stretches_both_parts_as_it_stretches_one_body
 
 
 @pytest.mark.parametrize(
-    "number", [0, 1, 2, *(pytest.param(number, marks=pytest.mark.campaign) for number in (3, 5))]
+    "number", [0, 1, 3, *(pytest.param(number, marks=pytest.mark.campaign) for number in (2, 5))]
 )
 def test_sliding_parts_give_the_field_of_least_energy(number):
     problem, prior = tissue_with_parts(number, is_loaded=True, has_hole=True)
@@ -123,10 +123,9 @@ def test_sliding_parts_give_the_field_of_least_energy(number):
     ("beside", "number"),
     [
         ("landmarks", 1),
-        ("landmarks", 3),
-        ("bodies", 1),
         ("bodies", 3),
-        pytest.param("bodies", 0, marks=pytest.mark.campaign),
+        pytest.param("landmarks", 3, marks=pytest.mark.campaign),
+        pytest.param("bodies", 1, marks=pytest.mark.campaign),
     ],
 )
 def test_parts_with_landmarks_or_rigid_bodies_have_the_field_of_least_energy(beside, number):
