@@ -71,8 +71,6 @@ def solve(model: LinearModel, states: ActiveSet, d: Planes, report: Report) -> N
     moves = (steep > 0) & ~states.fixed
     at, y, p = states.at, states.y, states.limit
     scale = max(_LEAST_SCALE, float(np.abs(y).max()))
-    if states.given is not None:
-        scale = max(scale, float(np.abs(d).max()))
     d.ravel()[at] = y
     low, force = np.zeros_like(d), np.zeros(len(at))
     # `past`: distance from the observed position on each side, a and b. `slack`: distance of the
@@ -91,7 +89,7 @@ def solve(model: LinearModel, states: ActiveSet, d: Planes, report: Report) -> N
         factors = _factors(model, moves, at, weight)
         if factors is None:
             break
-        rest = states.with_given(model.pull(d, low)).copy()
+        rest = model.pull(d, low).copy()
         rest.ravel()[at] += force
         rest[~moves] = 0
         apart = y - d.ravel()[at] - low.ravel()[at] - (past[0] - past[1])

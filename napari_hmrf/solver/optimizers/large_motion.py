@@ -147,9 +147,7 @@ def converge(
         settle = partial(newton.run, d, observed, held)
     else:
         most = np.where(held, host.planes(limit), 0.0)
-        fixed = np.isinf(most)
-        at = np.flatnonzero((most > 0) & ~fixed)
-        check_balanced(problem, at, most.ravel()[at], load, host.field(fixed))
+        check_balanced(problem, most > 0, most, load)
         settle = partial(
             LargeSlip(newton, observed, most, load, data).run, d, warm=start is not None
         )

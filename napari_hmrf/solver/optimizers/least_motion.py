@@ -20,6 +20,9 @@ Float64Array = npt.NDArray[np.float64]
 
 # Value in a free motion, relative to its scale, up to which a component is at rest.
 _REST = 1e-9
+# Motion beyond an observed position, in pixels, that is negligible. With such a bound beside others
+# of a pixel, the method fails.
+_NEGLIGIBLE = 1e-9
 
 
 def choose_least_motion(
@@ -59,7 +62,7 @@ def choose_least_motion(
 
 def _least_distance(rows: Float64Array, bounds: Float64Array) -> Float64Array | None:
     """Return the shortest x with ``rows @ x >= bounds``, or None if there is none."""
-    if not (bounds > 0).any():
+    if not (bounds > _NEGLIGIBLE).any():
         return np.zeros(rows.shape[1])
     matrix = np.vstack([rows.T, bounds / bounds.max()])
     target = np.zeros(len(matrix))

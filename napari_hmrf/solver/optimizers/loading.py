@@ -12,7 +12,7 @@ import scipy
 from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.solver.backends import host
-from napari_hmrf.solver.backends.linear import Planes
+from napari_hmrf.solver.backends.linear import HeldPlanes, Planes
 from napari_hmrf.solver.backends.planes import inside
 from napari_hmrf.solver.data_term import DataTerm
 from napari_hmrf.solver.loads import are_same
@@ -143,24 +143,21 @@ def check_reach(d: Planes, problem: Problem) -> None:
 
 def check_balanced(
     problem: Problem,
-    at: npt.NDArray[np.intp],
-    limit: npt.NDArray[np.float64],
+    observed: HeldPlanes,
+    limit: Planes,
     load: Planes | None,
-    fixed: npt.NDArray[np.bool_],
 ) -> None:
     """Raise an error if loads exceed the limits of the observations that may slip.
 
     Parameters
     ----------
     problem : Problem
-    at : ndarray of int
-        Indices of the components that may slip, in the flattened planes.
-    limit : ndarray
-        Largest force of each of these components.
+    observed : ndarray of bool, planes
+        Observed components.
+    limit : ndarray, planes
+        Largest force of each observation; infinite for a component that never slips.
     load : ndarray, planes, or None
         Force on each component, or None if there is no load.
-    fixed : ndarray of bool, shape (H, W, 2)
-        Mask of the components that never slip.
 
     Raises
     ------
@@ -169,15 +166,17 @@ def check_balanced(
     """
     if load is None or problem.loads is None or problem.loads.force is None:
         return  # growth has no resultant force
-    total = np.abs(load).sum()
-    for ways in free_motions(problem, fixed):
+    total, fixed = np.abs(load).sum(), observed & np.isinf(limit)
+    at = np.flatnonzero(observed & ~fixed)
+    largest = limit.ravel()[at]
+    for ways in free_motions(problem, host.field(fixed)):
         motions = [host.planes(way) for way in ways]
         demand = np.array([work_of(load, motion) for motion in motions])
         if np.abs(demand).max() <= _ROUNDING * total:
             continue
         stops = np.stack([motion.ravel()[at] for motion in motions])
         stopping = stops.any(axis=0)
-        if not _can_hold(stops[:, stopping] * limit[stopping], demand):
+        if not _can_hold(stops[:, stopping] * largest[stopping], demand):
             raise ProblemError(
                 "loads",
                 "exceed the forces of the observations: the largest force of an observation "

@@ -27,6 +27,7 @@ from napari_hmrf.solver.backends.linear import HeldPlanes, LinearModel, Planes
 from napari_hmrf.solver.bending_modes import check_bending
 from napari_hmrf.solver.optimizers import centred, large_motion
 from napari_hmrf.solver.optimizers.base import Convergence, LevelRun, Outcome, Report
+from napari_hmrf.solver.optimizers.bending_slip import BendingSlip
 from napari_hmrf.solver.optimizers.cycle import BENDING, smoothing_of
 from napari_hmrf.solver.optimizers.loading import (
     check_balanced,
@@ -157,10 +158,22 @@ class Multigrid:
                 moves = model.steepness > 0
                 if start is not None:
                     np.copyto(d, host.combined(start), where=moves)
-                states = ActiveSet(observed & moves, y, host.planes(limit), d, pulls, stored)
-                check_balanced(problem, states.at, states.limit, pulls, host.field(states.fixed))
-                slip = Slip(problem, prior, model, states, refinement, report)
-                forces = slip.run(d, self.tolerance)
+                observed_moves, limits = observed & moves, host.planes(limit)
+                check_balanced(problem, observed_moves, limits, pulls)
+                if isinstance(prior, ElasticPrior):
+
+                    def refined(of: LinearModel) -> Refinement:
+                        return Refinement(self.max_iterations, of, smoothing, report, firm, met)
+
+                    slip = Slip(
+                        problem, backend, model, observed_moves, y, limits, pulls, stored, refined
+                    )
+                    slip.run(d, self.tolerance)
+                    refinement = slip.refinement
+                else:
+                    states = ActiveSet(observed_moves, y, limits, d)
+                    BendingSlip(problem, model, states, refinement, report).run(d, self.tolerance)
+                _, forces = model.work(d)
         except ConvergenceError:
             model.clear_cache()
             if pulls is not None:

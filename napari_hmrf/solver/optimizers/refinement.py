@@ -70,6 +70,9 @@ _REPORTED = 1.5
 _BELIEVABLE_COUPLED = 30.0
 # Number of sites up to which a factorization takes no longer than a rehearsal and a few cycles.
 _FEW = 1024
+# Stiffness of springs on rigid bodies whose parts turn freely at hinges, as a fraction of the
+# diagonal.
+_HINGE_SPRINGS = 1e-6
 # Largest number of search directions for free motions at hinges between touching rigid bodies.
 _MOST_HINGES = 40
 # Largest ratio of successive direct-solve corrections that still counts as progress.
@@ -187,7 +190,7 @@ class Refinement:
             If neither cycles nor the factorization reach the tolerance.
         """
         balance = self._model.balance(d, load)
-        self.residual, self._low = balance.norm, None
+        self.residual, self._low, self._gains = balance.norm, None, []
         if known is not None and known.suffices(tolerance, balance.norm):
             self.error = known.error
             self.estimate = min(_REPORTED * known.error, tolerance)
@@ -591,10 +594,17 @@ def factorise(model: LinearModel, report: Report, known: str = "") -> Factors:
             report(Monitor(f"factorizing, {part:.0%}", part))
 
         report_part(0.0)
+        factors = partial(Factors, model.material, model.moves, report_part)
         try:
-            model.earlier.factors = Factors(
-                model.material, model.moves, report_part, links=_links_of(model)
-            )
+            model.earlier.factors = factors(links=_links_of(model))
         except Singular:
-            raise ConvergenceError(BARELY_HELD) from None
+            if model.bodies is None:
+                raise ConvergenceError(BARELY_HELD) from None
+            # Parts of a body that touch in one site turn freely; see `_Directions`.
+            on_bodies = model.bodies.hold(np.zeros_like(model.moves))
+            springs = np.where(on_bodies, _HINGE_SPRINGS * model.steepness, 0.0)
+            try:
+                model.earlier.factors = factors(springs)
+            except Singular:
+                raise ConvergenceError(BARELY_HELD) from None
     return model.earlier.factors

@@ -1,267 +1,376 @@
-"""Converged field with observations that may slip: an active-set search for consistent states."""
+"""Linear models with observations that may slip: a rounded kink, then exchanges of states.
+
+The force of an observation is at most ``p = K c``. If a smaller force is enough to keep a component
+at its observed position, the component is *held*. Otherwise it *slips*: it is away from this
+position and is pulled towards it with the force p. The energy of an observation, ``p |y - d|``, has
+a kink at the observed position. The kink is rounded, and the width of the rounding is reduced in
+steps. Each step of Newton's method is a linear problem with a data term. The result shows which
+components slip. The problem with these states is then solved without rounding, and the states that
+contradict the result are exchanged.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
+import scipy
 
 from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.solver.backends import host
+from napari_hmrf.solver.backends.base import Backend
 from napari_hmrf.solver.backends.linear import HeldPlanes, LinearModel, Planes
-from napari_hmrf.solver.bending_modes import free_bend
-from napari_hmrf.solver.optimizers import interior, least_motion
-from napari_hmrf.solver.optimizers.base import Report
-from napari_hmrf.solver.optimizers.null_space import (
-    SoftMotions,
-    explain_singular,
-    find_soft_motions,
-    refuse_free,
-    resolves,
-)
-from napari_hmrf.solver.optimizers.refinement import (
-    BARELY_HELD,
-    Refinement,
-    add,
-    factorise,
-    factors_fit,
-)
-from napari_hmrf.solver.optimizers.slip_states import ActiveSet
-from napari_hmrf.solver.priors import ElasticPrior, Prior
+from napari_hmrf.solver.data_term import DataTerm, packed_axes
+from napari_hmrf.solver.optimizers import least_motion
+from napari_hmrf.solver.optimizers.external_forces import SoftObservations
+from napari_hmrf.solver.optimizers.loading import work_of
+from napari_hmrf.solver.optimizers.refinement import Refinement
 from napari_hmrf.solver.problem import Problem
-from napari_hmrf.solver.rigid_modes import free_motion, free_motions
+from napari_hmrf.solver.rigid_modes import free_motions
 
 Float64Array = npt.NDArray[np.float64]
 
+# Initial width of the kink, as a fraction of the largest distance from an observed position.
+_FIRST_WIDTH = 0.2
+# Ratio of each width of the kink to the previous one.
+_WIDTH_FACTOR = 0.1
+# Final width of the kink, as a fraction of the tolerance.
+_LAST_WIDTH = 1e-3
+# Width of the kink, as a fraction of the largest displacement, from which states are tried.
+_SHARP = 0.02
+# Largest number of Newton steps for a width, and step that ends them, in widths.
+_MOST_STEPS, _LAST_STEP = 30, 0.3
+# Tolerance of a Newton step, in widths.
+_STEP_TOLERANCE = 0.1
+# Reduction of the slope of the energy at which a whole Newton step is taken.
+_SLOPE = 0.3
 # Factor on the tolerance for the first exchanges, which are followed by exchanges at the tolerance.
-_ROUGH_FACTOR = 10.0
-# Accuracy of the final exchange, relative to the largest displacement, or to 1 pixel if larger.
-_EXACT = 1e-11
-# Largest accepted violation of the slip conditions after the final exchange, as a multiple of the
-# accuracy.
-_CONTRADICTION = 10.0
-# Largest accepted violation of the slip conditions when a result is confirmed, as a multiple of the
-# accuracy.
-_CONFIRMATION = 10.0
-# Fraction of the limit by which a force must be below the limit to prove that a component is held.
-_AT_LIMIT = 1e-9
-# Fraction of the limit by which a force must be below the limit to need no closer inspection.
-_NEAR_LIMIT = 1e-4
+_ROUGH = 10.0
+# Largest number of exchanges, and number of exchanges without fewer contradictions that ends them.
+_EXCHANGES, _PATIENCE = 12, 3
 # Largest accepted excess of the force of a held component, as a fraction of its limit.
-_EXCESS = 1e-9
-# Number of refinement solves that compute the start of the interior-point method.
-_REFINEMENTS = 4
-# Number of exchanges after which another method is used.
-_MOST_EXCHANGES = 100
-# Number of exchanges after which only one component is exchanged at a time.
-_BLOCK_EXCHANGES = 30
+_EXCESS = 1e-6
+# Accepted motion of a slipping component beyond its observed position, as a fraction of the
+# tolerance.
+_PASSED = 1e-3
+# Fraction of the limit by which a force must be below it to prove that a component is held.
+_NEAR_LIMIT = 1e-4
+# Work over a free motion that is rounding error, as a fraction of the sum of absolute values.
+_BALANCED = 1e-9
+# Precision that holds a component of a rigid body, in units of the model.
+_TIE = 100.0
+# Largest number of corrections of the forces on bodies, and their accuracy in tolerances.
+_CORRECTIONS, _AT_POSITION = 20, 0.02
+# Reduction of this distance above which the precision is raised, and factor.
+_SLOW, _STRONGER = 0.3, 10.0
+# Factor on the distance of held observations of bodies in the estimated error.
+_TIE_MARGIN = 10.0
 
 
 class Slip:
-    """Search for the states of observations (held or slipping) and for the resulting field.
-
-    With many slipping observations or a small penalty, a single wrong state can change the field
-    considerably, even if its contradiction is small. At the end, all states must therefore be right
-    to within rounding errors.
+    """Minimum of the energy of a linear model with observations that may slip.
 
     Parameters
     ----------
     problem : Problem
-    prior : Prior
+    backend : Backend
     model : LinearModel
-    states : ActiveSet
-    refinement : Refinement
-    report : callable
+        Model without observations.
+    observed : ndarray of bool, planes
+        Observed components that have an equation.
+    y, limit : ndarray, planes
+        Observed displacement, in pixels, and largest force of each observation, which is infinite
+        for a component that never slips.
+    load : ndarray, planes, or None
+        Force on each component.
+    stored : float
+        Energy at zero displacement.
+    new_refinement : callable
+        Function that returns a `Refinement` of a model.
     """
 
     def __init__(
         self,
         problem: Problem,
-        prior: Prior,
+        backend: Backend[Any],
         model: LinearModel,
-        states: ActiveSet,
-        refinement: Refinement,
-        report: Report,
+        observed: HeldPlanes,
+        y: Planes,
+        limit: Planes,
+        load: Planes | None,
+        stored: float,
+        new_refinement: Callable[[LinearModel], Refinement],
     ) -> None:
-        self._problem, self._model, self._report = problem, model, report
-        self._states, self._refinement = states, refinement
-        elastic = isinstance(prior, ElasticPrior)
-        self._elastic = elastic
-        self._motion = free_motion if elastic else free_bend
-        self._steepness = model.steepness
+        self._problem, self._backend, self._model = problem, backend, model
+        self._y, self._load, self._stored = y, load, stored
+        self._new_refinement = new_refinement
+        self._fixed: HeldPlanes = observed & np.isinf(limit)
+        self._at = np.flatnonzero(observed & ~self._fixed)
+        self._aims, self._limit = y.ravel()[self._at], limit.ravel()[self._at]
+        self._yielding = self._planes(self._limit)
+        self._sides: Float64Array = np.zeros(len(self._at))
+        #: Forces of held observations of rigid bodies.
+        self._ties: Float64Array = np.zeros(len(self._at))
+        model.hold(self._fixed)
+        bodies = np.zeros_like(observed)
+        if model.bodies is not None:
+            bodies = model.bodies.hold(bodies)
+        self._on_body = bodies.ravel()[self._at]
+        self._scale = float(np.abs(self._aims).max(initial=0.0))
+        #: Refinement of the last solve, with its estimated error.
+        self.refinement = self._refinement = new_refinement(model)
+        self._soft: tuple[LinearModel, Refinement] | None = None
 
-    def run(self, d: Planes, tolerance: float) -> float:
-        """Minimize the energy over `d`, in place; return the norm of the forces."""
-        exact = _EXACT * max(1.0, float(np.abs(d).max()))
-        try:
-            if self._free(self._states.held) is not None:
-                self._states.hold_all()
-            for rough in (_ROUGH_FACTOR * tolerance, tolerance):
-                self._exchange(d, rough, rough / 2)
-            self._refinement.require_rehearsal()
-            self._exchange(d, exact, _CONTRADICTION * exact)
-            clear = np.array_equal(self._clear(d), self._states.held)
-            if not clear and factors_fit(self._model):
-                factorise(self._model, self._report)
-                self._refinement.run(d, self._states.load, exact)
-            pull = self._pull(d)
-            if self._states.contradicted(d, pull, self._steepness, _CONTRADICTION * exact, _EXCESS):
-                raise ConvergenceError("the released observations would leave tissue free")
-            if not self._resolved:
-                self._model.hold(self._states.every)
-                self._check_held()
-                self._confirm(d, exact)
-        except ConvergenceError:
-            # The exchanges did not end, or their states leave tissue free. First check that the
-            # tissue has no free motion if all observations are held.
-            self._model.hold(self._states.every)
-            if self._model.moves.any():
-                self._check_held()
-            self._close_gap(d)
-            self._confirm(d, exact)
-        return self._settle(d)
+    def run(self, d: Planes, tolerance: float) -> None:
+        """Minimize the energy over `d`, in place."""
+        self._hold(self._model, self._fixed, d)
+        off = self._off(d)
+        self._sides = np.where(np.abs(off) > tolerance, np.sign(off), 0.0)
+        begun = d.copy()
+        if self._on_body.any() or not self._exchange(d, tolerance):
+            np.copyto(d, begun)
+            self._soften(d, tolerance)
+        self._settle(d)
 
-    def _close_gap(self, d: Planes) -> None:
-        """Find the states by the interior-point method, in place."""
-        # The rounding errors of the method depend on its start. If the method fails from the result
-        # of the exchanges, it starts again with all observations held.
-        try:
-            interior.solve(self._model, self._states, d, self._report)
-        except ConvergenceError:
-            self._model.hold(self._states.every)
-            d[:] = self._with_all_held(d)
-            interior.solve(self._model, self._states, d, self._report)
+    def energy(self, d: Planes) -> float:
+        """Return the total energy of a displacement."""
+        of_observations = float((self._limit * np.abs(self._off(d))).sum())
+        of_tissue, _ = self._model.work(d)
+        return of_tissue + of_observations + self._stored - work_of(self._load, d)
 
-    def _with_all_held(self, d: Planes) -> Planes:
-        """Return the field with all observations held; the model must have these constraints."""
-        model, states = self._model, self._states
-        held = np.where(self._steepness > 0, 0.0, d)
-        states.place_fixed(held)
-        held.ravel()[states.at] = states.y
-        if model.moves.any():
-            factors, low = factorise(model, self._report), np.zeros_like(d)
-            for _ in range(_REFINEMENTS):
-                rest = states.with_given(model.pull(held, low)).copy()
-                rest[~model.moves] = 0
-                add(held, low, factors.solve(rest))
+    def _planes(self, values: Float64Array) -> Planes:
+        planes: Planes = np.zeros(self._y.shape)
+        planes.ravel()[self._at] = values
+        return planes
+
+    def _off(self, d: Planes) -> Float64Array:
+        return np.asarray(self._aims - d.ravel()[self._at])
+
+    def _held(self, components: npt.NDArray[np.bool_]) -> HeldPlanes:
+        held: HeldPlanes = self._fixed.copy()
+        held.ravel()[self._at] = components
         return held
 
-    def _check_held(self) -> None:
-        """Raise an error with the reason if the observations do not constrain the tissue."""
-        model, every = self._model, self._states.every
-        try:
-            factorise(model, self._report)
-        except ConvergenceError as error:
-            if str(error) != BARELY_HELD:
-                raise
-            raise explain_singular(model, every, self._refinement, self._report) from None
-        if not self._resolved:
-            refuse_free(model, every, self._refinement, self._report)
+    def _with_load(self, forces: Planes) -> Planes:
+        return forces if self._load is None else forces + self._load
 
-    @property
-    def _resolved(self) -> bool:
-        """True if the last solution is unique; elastic tissue was checked before."""
-        return self._elastic or resolves(self._model)
+    def _with_springs(self, springs: Planes) -> tuple[LinearModel, Refinement]:
+        """Return the model with additional springs on observed components."""
+        material, axes = self._model.material, len(self._y)
+        weights = np.zeros((len(packed_axes(axes)), *self._y.shape[1:]))
+        weights[:axes] = springs
+        points = None
+        if material.data is not None:
+            weights += material.data.weights
+            points = material.data.points
+        model = self._backend.elastic_model(replace(material, data=DataTerm(weights, points)))
+        if self._soft is None or self._soft[0] is not model:
+            self._soft = model, self._new_refinement(model)
+        return self._soft
 
-    def _pull(self, d: Planes) -> Planes:
-        """Return the forces after the last run, without the forces of observations."""
-        return self._states.with_given(self._refinement.pull(d))
+    # Exchanges of states
 
-    def _free(self, held: HeldPlanes) -> Planes | None:
-        """Return a free motion of tissue with the constrained components `held`, or None."""
-        motion = self._motion(self._problem, host.field(held))
-        return None if motion is None else host.planes(motion.motion)
-
-    def _exchange(self, d: Planes, tolerance: float, near: float) -> None:
-        """Exchange states and solve, in place, until no contradiction exceeds `near` pixels."""
-        model, states, bound = self._model, self._states, self._model.bounds[1]
-
-        def pull(at: Planes) -> Planes:
-            return states.with_given(model.pull(at))
-
-        before = None
-        for _ in range(_MOST_EXCHANGES):
-            states.place(d)
-            model.hold(states.held)
-            self._refinement.run(d, states.load, tolerance)
-            arrived = True
-            if before is not None:
-                way = d - before
-                far, pulls = float(np.abs(way).max()), pull(before).copy()
-                # Within the tolerance, the direction of the step is random.
-                arrived = states.step(d, before, way, pulls, model.pull(way)) or far <= near
-            elif states.lost:
-                states.follow(d)
-                if self._free(states.held) is not None:
-                    states.hold_all()
-                    states.place(d)
-                arrived = False
-            if states.lost:
-                before = d.copy()
-            energy, _ = model.work(d)
-            self._refinement.set_energy(energy + states.cost(d))
-            if states.lost:
-                if arrived and not states.contradicted(d, pull(d), self._steepness, near):
-                    return
-                if states.relax(d, pull, bound * self._steepness, self._free):
-                    before = d.copy()
-                    continue
-            if not states.exchange(d, pull(d), self._steepness, near, self._free) and arrived:
-                return
-        raise ConvergenceError(
-            f"no consistent slipping observations were found in {_MOST_EXCHANGES} exchanges"
-        )
-
-    def _confirm(self, d: Planes, exact: float) -> None:
-        """Solve for the current states and exchange components that contradict their state."""
-        states, model, refinement = self._states, self._model, self._refinement
-        for number in range(_MOST_EXCHANGES):
-            play = self._soft_motions(states.held)
-            states.place(d)
-            adrift = play.unbalanced_motion(states.load)
-            if adrift is not None and states.slide(d, adrift):
+    def _exchange(self, d: Planes, tolerance: float) -> bool:
+        """Exchange states that contradict the field until it stays; return whether it does."""
+        fewest, patience, near = len(self._at) + 1, _PATIENCE, _ROUGH * tolerance
+        for number in range(_EXCHANGES):
+            held = self._held(self._sides == 0)
+            ways = self._free(held)
+            if not self._is_balanced(ways):
+                return False
+            before = d.copy()
+            try:
+                needed = self._solve(d, near, self._pins(ways))
+            except ConvergenceError:
+                return False
+            if ways:
+                self._least(d, needed, ways)
+            holds = self._sides == 0
+            over = np.abs(needed) > (1 + _EXCESS) * self._limit
+            passed = -self._sides * self._off(d) > _PASSED * tolerance
+            wrong = np.where(holds, over, passed)
+            moved = float(np.abs(d - before).max())
+            count = int(np.count_nonzero(wrong))
+            is_still = not count or (number > 0 and moved <= near / 2)
+            if is_still and (
+                near == tolerance or (not count and self.refinement.estimate <= tolerance)
+            ):
+                self._needed = needed
+                return True
+            self._sides = np.where(wrong, np.where(holds, np.sign(needed), 0.0), self._sides)
+            if is_still:
+                near = tolerance
                 continue
-            model.hold(states.held | play.pins)
-            play.balance(model, refinement, d, states.load, exact)
-            pull = states.with_given(refinement.pull(d))
-            self._least(d, pull, play.free)
-            sure = _CONFIRMATION * max(exact, refinement.estimate)
-            if not states.correct(d, pull, sure, _EXCESS, number >= _BLOCK_EXCHANGES):
-                break
+            patience = _PATIENCE if count < fewest else patience - 1
+            fewest = min(count, fewest)
+            if not patience:
+                return False
+        return False
+
+    def _solve(self, d: Planes, tolerance: float, pins: HeldPlanes) -> Float64Array:
+        """Solve for the current states, in place; return the required force of each observation."""
+        holds = self._sides == 0
+        held = self._held(holds & ~self._on_body)
+        np.copyto(d, self._y, where=held)
+        ties = holds & self._on_body
+        if ties.any():
+            refinement = self._solve_tied(d, tolerance, held | pins, ties)
         else:
-            raise ConvergenceError(
-                "no consistent slipping observations were found in double precision. Raise the "
-                "penalty, or hold more of the tissue"
-            )
-        energy, _ = model.work(d)
-        refinement.set_energy(energy + states.cost(d))
+            refinement = self._refinement
+            self._hold(self._model, held | pins, d)
+            pulls = self._planes(self._sides * self._limit)
+            refinement.run(d, self._with_load(pulls), tolerance)
+        refinement.set_energy(self.energy(d))
+        self.refinement = refinement
+        needed = -self._with_load(refinement.pull(d)).ravel()[self._at]
+        return np.where(self._on_body, np.where(ties, self._ties, 0.0), needed)
 
-    def _settle(self, d: Planes) -> float:
-        """Choose the least motion among fields of lowest energy; return the norm of the forces."""
-        states, pull = self._states, self._pull(d)
-        if not np.array_equal(states.certain(pull, _AT_LIMIT), states.held):
-            quality = self._refinement.estimate, self._refinement.residual
-            self._least(d, pull, self._motions(states.certain(pull, _AT_LIMIT)))
-            self._refinement.estimate, self._refinement.residual = quality
-        _, forces = self._model.work(d)
-        return forces
+    def _solve_tied(
+        self, d: Planes, tolerance: float, held: HeldPlanes, ties: npt.NDArray[np.bool_]
+    ) -> Refinement:
+        """Solve with held observations of rigid bodies, in place, by the method of multipliers.
 
-    def _clear(self, d: Planes) -> HeldPlanes:
-        """Return a mask of the held components with a force clearly below the limit."""
-        noise = _EXACT * max(1.0, float(np.abs(d).max())) * self._steepness
-        return self._states.certain(self._pull(d), _NEAR_LIMIT, noise)
+        Such observations may be redundant, so they are not constraints. Stiff springs pull the
+        bodies to the observed positions, and the forces of the springs are added to the load until
+        the springs have no force.
+        """
+        strength, before = _TIE, np.inf
+        for _ in range(_CORRECTIONS):
+            model, refinement = self._with_springs(self._planes(np.where(ties, strength, 0.0)))
+            self._hold(model, held, d)
+            pulls = np.where(ties, self._ties + strength * self._aims, self._sides * self._limit)
+            refinement.run(d, self._with_load(self._planes(pulls)), tolerance)
+            off = np.where(ties, self._off(d), 0.0)
+            self._ties = np.where(ties, self._ties + strength * off, 0.0)
+            far = float(np.abs(off).max())
+            is_over = (np.abs(self._ties) > (1 + _EXCESS) * self._limit).any()
+            if is_over or far <= _AT_POSITION * tolerance:
+                break
+            if far > _SLOW * before:
+                strength *= _STRONGER
+            before = far
+        refinement.estimate = min(refinement.estimate + _TIE_MARGIN * far, tolerance)
+        return refinement
 
-    def _motions(self, held: HeldPlanes) -> list[Float64Array]:
+    def _hold(self, model: LinearModel, held: HeldPlanes, d: Planes) -> None:
+        """Set the constrained components, and make the displacement of bodies rigid, in place."""
+        model.hold(held)
+        if model.bodies is not None:
+            model.bodies.make_rigid(d)
+
+    # Free motions
+
+    def _free(self, held: HeldPlanes) -> list[Float64Array]:
         """Return all free motions of tissue with the constrained components `held`."""
-        if self._elastic:
-            return list(free_motions(self._problem, host.field(held)))
-        return self._soft_motions(held).free
+        if self._problem.coupling is not None:
+            return []  # a factorization fails if parts that slide are free
+        return list(free_motions(self._problem, host.field(held)))
 
-    def _soft_motions(self, held: HeldPlanes) -> SoftMotions:
-        """Return all soft motions of tissue with the constrained components `held`."""
-        return find_soft_motions(self._model, held, self._refinement, self._report)
+    def _is_balanced(self, motions: list[Float64Array]) -> bool:
+        """Return whether the forces for the current states do no work over free motions."""
+        load = self._with_load(self._planes(self._sides * self._limit))
+        return all(_works_nothing(load, way) for ways in motions for way in ways)
 
-    def _least(self, d: Planes, pull: Planes, motions: list[Float64Array]) -> None:
+    def _pins(self, motions: list[Float64Array]) -> HeldPlanes:
+        """Return components that prevent all free motions if they are constrained."""
+        pins: HeldPlanes = np.zeros(self._y.shape, np.bool_)
+        for ways in motions:
+            moves = np.stack([host.planes(way).ravel() for way in ways])
+            at = np.flatnonzero(self._model.steepness.ravel() > 0)
+            *_, order = scipy.linalg.qr(moves[:, at], mode="economic", pivoting=True)
+            pins.ravel()[at[order[: len(ways)]]] = True
+        return pins
+
+    def _least(self, d: Planes, needed: Float64Array, motions: list[Float64Array]) -> None:
         """Choose the least motion among the fields that differ by `motions`, in place."""
+        holds = self._sides == 0
+        off = self._planes(np.where(holds, 0.0, self._off(d)))
+        side = self._planes(np.where(holds, np.sign(needed), self._sides))
+        field, off, side = map(host.field, (d, off, side))
+        least_motion.choose_least_motion(field, off, side, motions, self._problem.tissue)
+
+    def _settle(self, d: Planes) -> None:
+        """Choose the least motion if held observations at their limit leave tissue free."""
+        needed, holds = self._needed, self._sides == 0
+        below = np.abs(needed) < (1 - _NEAR_LIMIT) * self._limit
+        sides = np.where(holds & ~below, np.sign(needed), self._sides)
+        load = self._with_load(self._planes(sides * self._limit))
+        motions = []
+        for ways in self._free(self._held(holds & below)):
+            work = np.array([work_of(load, host.planes(way)) for way in ways])
+            if all(_works_nothing(load, way) for way in ways):
+                motions.append(ways)
+            elif len(ways) > 1:  # combinations over which the forces do no work
+                others = scipy.linalg.null_space(work[None] / np.abs(work).max())
+                motions.append(np.tensordot(others.T, ways, 1))
         if motions:
-            moved, off, side = map(host.field, (d, *self._states.sides(d, pull)))
-            least_motion.choose_least_motion(moved, off, side, motions, self._problem.tissue)
+            self._least(d, needed, motions)
+
+    # Rounded kink
+
+    def _soften(self, d: Planes, tolerance: float) -> None:
+        """Minimize the energy over `d`, in place, with successively narrower kinks."""
+        scale = max(self._scale, float(np.abs(self._off(d)).max(initial=0.0)), tolerance)
+        last = _LAST_WIDTH * tolerance
+        width = max(_FIRST_WIDTH * scale, last)
+        np.copyto(d, self._y, where=self._fixed)
+        self._hold(self._model, self._fixed, d)
+        soft = SoftObservations(self._y, self._yielding, self._load)
+        while True:
+            soft.sharpen(d, width)
+            self._minimize(d, soft, width)
+            if width <= _SHARP * scale or width == last:
+                off = self._off(d)
+                length = np.hypot(off, width)
+                slack = width**2 / (length * (length + np.abs(off)))
+                slips = np.abs(off) / scale > slack
+                self._sides = np.where(slips, np.sign(off), 0.0)
+                self._ties = np.where(self._on_body & ~slips, self._limit * off / length, 0.0)
+                rounded = d.copy()
+                if self._exchange(d, tolerance):
+                    return
+                np.copyto(d, rounded)
+            if width == last:
+                raise ConvergenceError(
+                    "no consistent slipping observations were found. Raise the penalty, or hold "
+                    "more of the tissue"
+                )
+            width = max(_WIDTH_FACTOR * width, last)
+
+    def _minimize(self, d: Planes, soft: SoftObservations, width: float) -> None:
+        """Minimize the energy with a rounded kink over `d`, in place, by Newton's method."""
+        for _ in range(_MOST_STEPS):
+            rest = self._model.pull(d) - soft.forces(d)
+            model, refinement = self._with_springs(soft.springs(d))
+            model.hold(self._fixed)
+            rest[~model.moves] = 0
+            step = np.zeros_like(d)
+            refinement.run(step, rest, _STEP_TOLERANCE * width)
+            before = d.copy()
+            np.add(d, self._part(d, step, soft) * step, out=d)
+            soft.follow(before, d)
+            moved = float(np.abs(d - before).max())
+            if moved <= _LAST_STEP * width:
+                return
+
+    def _part(self, d: Planes, step: Planes, soft: SoftObservations) -> float:
+        """Return the part of a step at which the energy is lowest, from 0 to 1."""
+        pull, change = self._model.pull(d).copy(), self._model.pull(step)
+
+        def slope(part: float) -> float:
+            forces = soft.forces(d + part * step) - pull - part * change
+            return float((forces * step).sum())
+
+        first, last = slope(0.0), slope(1.0)
+        if last <= _SLOPE * abs(first):
+            return 1.0
+        return 0.0 if first >= 0 else float(scipy.optimize.brentq(slope, 0.0, 1.0, rtol=1e-2))
+
+
+def _works_nothing(load: Planes, way: Float64Array) -> bool:
+    """Return whether the work of a load over a motion is a rounding error."""
+    work = load * host.planes(way)
+    return bool(abs(work.sum()) <= _BALANCED * np.abs(work).sum())

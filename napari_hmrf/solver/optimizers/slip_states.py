@@ -20,7 +20,6 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes
-from napari_hmrf.solver.optimizers.loading import work_of
 
 #: Function that returns a free motion (planes) for a mask of constrained components, or None.
 FreeMotion = Callable[[HeldPlanes], Planes | None]
@@ -115,37 +114,11 @@ class ActiveSet(States):
     """States of the observations, for a model with an energy.
 
     Here `limit` is the largest force of an observation.
-
-    Parameters
-    ----------
-    given : ndarray, planes, optional
-        Forces that do not depend on the observations.
-    stored : float
-        Energy of the tissue at rest.
     """
 
-    def __init__(
-        self,
-        observed: HeldPlanes,
-        y: Planes,
-        limit: Planes,
-        d: Planes,
-        given: Planes | None = None,
-        stored: float = 0.0,
-    ) -> None:
+    def __init__(self, observed: HeldPlanes, y: Planes, limit: Planes, d: Planes) -> None:
         super().__init__(observed, y, limit, d)
-        self.given, self._stored = given, stored
         self._barred = np.zeros(len(self.at), dtype=np.bool_)
-
-    @property
-    def load(self) -> Planes:
-        """Forces of the slipping observations, plus the given forces."""
-        load = super().load
-        return load if self.given is None else load + self.given
-
-    def with_given(self, pull: Planes) -> Planes:
-        """Return the sum of the forces of the tissue and the given forces."""
-        return pull if self.given is None else pull + self.given
 
     @property
     def lost(self) -> bool:
@@ -153,9 +126,8 @@ class ActiveSet(States):
         return self._patience == 0
 
     def cost(self, d: Planes) -> float:
-        """Return ``sum(p |y - d|)`` plus the energy at rest, minus the work of the given forces."""
-        of_observations = float((self.limit * np.abs(self.y - d.ravel()[self.at])).sum())
-        return of_observations + self._stored - work_of(self.given, d)
+        """Return ``sum(p |y - d|)``."""
+        return float((self.limit * np.abs(self.y - d.ravel()[self.at])).sum())
 
     def exchange(
         self, d: Planes, pull: Planes, steepness: Planes, tolerance: float, free: FreeMotion
@@ -168,7 +140,7 @@ class ActiveSet(States):
             Displacement for the current states. If the release would leave tissue free, the tissue
             slides until an observation holds it again; `d` is then changed in place.
         pull : ndarray, planes
-            Force of the tissue on each component, plus the given forces.
+            Force of the tissue on each component.
         steepness : ndarray, planes
             Diagonal of the model, which converts a force to a displacement.
         tolerance : float
@@ -238,8 +210,7 @@ class ActiveSet(States):
         d : ndarray, planes
             Displacement.
         pull_at : callable
-            Function that returns the force of the tissue on each component, plus the given forces,
-            for a displacement.
+            Function that returns the force of the tissue on each component for a displacement.
         steepness : ndarray, planes
             Diagonal D of the model, times an upper bound on the spectrum of D^-1 A.
         free : callable
@@ -326,7 +297,7 @@ class ActiveSet(States):
         before, way : ndarray, planes
             Start of the step, and the step.
         pull : ndarray, planes
-            Force of the tissue at `before`, plus the given forces.
+            Force of the tissue at `before`.
         change : ndarray, planes
             Change in this force over the step.
         """
@@ -353,7 +324,7 @@ class ActiveSet(States):
         components at their observed position are held again instead.
         """
         for way in (motion, -motion):
-            part = self._lowest(d, way, -work_of(self.given, way), 0.0)
+            part = self._lowest(d, way, 0.0, 0.0)
             if 0 < part < math.inf:
                 np.copyto(d, d + part * way)
                 self.follow(d)

@@ -20,7 +20,7 @@ from napari_hmrf.solver.backends.job import SolveJob
 from napari_hmrf.solver.backends.linear import LinearModel
 from napari_hmrf.solver.backends.opengl.context.device import the_device
 from napari_hmrf.solver.backends.opengl.context.pace import MAX_PASS_SECONDS, Pace
-from napari_hmrf.solver.backends.opengl.images.elastic import GLElasticModel
+from napari_hmrf.solver.backends.opengl.images.elastic import GLElasticModel, model_of_loops
 from napari_hmrf.solver.backends.opengl.images.fields import (
     GLField,
     Pool,
@@ -200,8 +200,11 @@ class OpenGLBackend:
     def elastic_model(self, material: ElasticMaterial) -> LinearModel:
         """Build the linear model of an elastic image or volume.
 
-        For images, the levels are copied from a model on the host.
+        For images, the levels are copied from a model on the host. There are no shaders for a data
+        term, so compiled loops solve the steps in which observations that slip are springs.
         """
+        if material.data is not None:
+            return model_of_loops(material)
         if material.m.ndim == 3:
             self._refuse(volume_refusal(self._device, self._stage, material.m.shape))
             passes = VolumePasses(self._device, self._pace)

@@ -69,11 +69,14 @@ class GLElasticModel(GLModel):
 
 def _host(material: ElasticMaterial) -> LinearModel:
     """Return the model on the host, which uses NumPy until the compiled loops are ready."""
-    if loops.in_use():
-        from napari_hmrf.solver.backends.cpu import elastic_model  # heavy: numba
+    return model_of_loops(material) if loops.in_use() else elastic.the_model(material)
 
-        return elastic_model.the_model(material)
-    return elastic.the_model(material)
+
+def model_of_loops(material: ElasticMaterial) -> LinearModel:
+    """Return the model of the compiled loops, which also support a data term."""
+    from napari_hmrf.solver.backends.cpu import elastic_model  # heavy: numba
+
+    return elastic_model.the_model(material)
 
 
 def _stiffness_matrix(stored_lame: Float64Array, element: ElementShape) -> Float64Array:
