@@ -26,6 +26,7 @@ from napari_hmrf.solver.uncertain_landmarks import interpolated
 from napari_hmrf.solver.unconnected import scraps
 from napari_hmrf.tissue import SlidingParts
 from validation.bodies import Array, Dice, Flags, Shape, dice_of, offsets, turned
+from validation.oracles.elasticity import rigid_sites
 from validation.oracles.large_motion import displaced_corners, smallest_jacobians
 
 Labels = npt.NDArray[np.int32]
@@ -134,6 +135,8 @@ class RandomProblem:
         Tolerance of `Multigrid`, in pixels.
     contents : Contents, optional
         Loads of a cavity.
+    loads : Loads, optional
+        Other loads.
     """
 
     kinds: dict[str, str]
@@ -141,11 +144,12 @@ class RandomProblem:
     prior: Prior
     tolerance: float
     contents: Contents | None = None
+    loads: Loads | None = None
 
     @cached_property
     def problem(self) -> Problem:
         """Problem as accepted by the package."""
-        loads = None
+        loads = self.loads
         if self.contents is not None:
             loads = self.contents.loads(self.arguments["stiffness"], self.arguments["spacing"])
         return Problem(**self.arguments, loads=loads)
@@ -188,6 +192,67 @@ def random_parts(dice: Dice, axes: int, has_cavity: bool, has_parts: bool) -> Ra
         is_held = made.arguments["confidence"].any()
         if is_held and slides == has_parts and empties == has_cavity:
             return made
+
+
+def random_bodies(dice: Dice, axes: int) -> RandomProblem:
+    """Return a small problem with rigid bodies and observations that may slip, on them and beside.
+
+    Some problems have growth or forces. The observations of some bodies agree with a rigid motion.
+    """
+    while True:
+        shape = tuple(map(int, dice.integers(*SIDES_OF_PARTS[axes], axes)))
+        made = _drawn(dice, shape, DECADES_OF_PARTS, _PARTS)
+        m, y, c = (made.arguments[name].copy() for name in ("stiffness", "observed", "confidence"))
+        rigid = smooth_noise(dice, shape, dice.uniform(0.6, 2)) > dice.uniform(0.7, 0.95)
+        soft = m.max(where=np.isfinite(m), initial=0.0)
+        m[rigid & (m > 0)] = np.inf
+        labels, count = ndi.label(rigid_sites(m), np.ones((3,) * axes))
+        if not count:
+            continue
+        penalty = None if dice.random() < 0.7 else float(10 ** dice.uniform(-2, 1))
+        if c.max() == 1 and dice.random() < 0.8:
+            c = np.where(c > 0, dice.choice([0.02, 0.2, 0.5, 0.9, 1.0], c.shape), 0)
+        unit = made.problem.unit
+        for number in range(1, count + 1):
+            body = labels == number
+            seen = (c > 0) & body[..., None]
+            kind = dice.choice(["free", "slips", "one certain site"], p=[0.3, 0.5, 0.2])
+            if kind == "free":
+                c[seen] = 0
+                continue
+            c[seen] = np.minimum(c[seen], dice.choice([0.9, 0.05]))
+            if dice.random() < 0.3:  # observe more of the body
+                c[body & (dice.random(shape) < 0.5)] = float(dice.choice([0.05, 0.3, 0.7]))
+            if kind == "one certain site":
+                c[tuple(dice.choice(np.argwhere(body)))] = 1
+            if dice.random() < 0.5:
+                turn = dice.normal(size=(axes, axes)) * 0.2 * (dice.random() < 0.5)
+                places = np.moveaxis(offsets(shape, np.argwhere(body).mean(axis=0)), 0, -1)
+                moved = places * made.problem.spacing @ (turn - turn.T)
+                y[body] = (moved + dice.normal(size=axes) * unit)[body]
+        if not c.any():
+            continue
+        loads = None
+        if dice.random() < 0.3:
+            size = soft * unit ** (axes - 1)
+            force = 0.02 * size * dice.normal(size=y.shape) * (m > 0)[..., None]
+            loads = Loads(force=force * (dice.random(shape) < 0.2)[..., None])
+        if dice.random() < 0.3:
+            own = growth(0.1 * dice.random(shape) * np.isfinite(m))
+            loads = own if loads is None else loads + own
+        arguments = made.arguments | {"stiffness": m, "observed": y, "confidence": c}
+        prior = replace(made.prior, penalty=penalty)
+        kinds = made.kinds | {"bodies": str(count), "loads": "none" if loads is None else "some"}
+        elements = np.argwhere(in_elements(m))
+        kinds["drift"] = "none"
+        if len(elements) > 4 and dice.random() < 0.25:
+            points = dice.choice(elements, 12) + dice.random((12, axes))
+            strain, noise = dice.normal(size=(axes, axes)), dice.normal(size=points.shape)
+            targets = points + points @ (0.05 * strain) + 0.2 * noise
+            sd = 10 ** dice.uniform(-2, 0.5)
+            arguments["landmarks"] = Landmarks(points, targets, sd=sd, drift=True)
+            kinds["drift"] = "some"
+        return replace(made, kinds=kinds, arguments=arguments, prior=prior, loads=loads)
 
 
 def _drawn(

@@ -254,8 +254,9 @@ def _checked_prior(problem: Problem, prior: Prior | None) -> Elastic:
     """Return the prior of a problem to which properties can be fitted."""
     if not isinstance(prior, NeoHookeanPrior):
         return checked_prior(problem, prior)
-    checked_prior(problem, prior.at_rest)
-    return prior.in_force(problem)
+    in_force = prior.in_force(problem)
+    checked_prior(problem, in_force.at_rest)
+    return in_force
 
 
 def _checked_pair(images: tuple[npt.ArrayLike, npt.ArrayLike], problem: Problem) -> Images:

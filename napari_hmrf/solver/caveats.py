@@ -9,7 +9,7 @@ from napari_hmrf.notes import Note
 from napari_hmrf.solver.model_names import converged
 from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.optimizers.base import Reach
-from napari_hmrf.solver.priors import Elastic, Prior
+from napari_hmrf.solver.priors import Elastic, NeoHookeanPrior, Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.quadtree import levels, sampled
 
@@ -157,13 +157,16 @@ def missing_constraint(problem: Problem) -> str:
 def rigid_caveat(problem: Problem, prior: Prior) -> str:
     """Return a clause if rigid tissue makes uncertain observations exact; otherwise "".
 
+    Only large motion does so.
+
     Parameters
     ----------
     problem : Problem
     prior : Prior
         Prior, before its method `resolved` is called.
     """
-    if not isinstance(prior, Elastic) or prior.penalty is not None or not problem.rigid.any():
+    is_large = isinstance(prior, NeoHookeanPrior)
+    if not is_large or prior.penalty is not None or not problem.rigid.any():
         return ""
     doubted = problem.known & (problem.confidence < 1)
     count = int(doubted.any(axis=-1).sum())
@@ -172,7 +175,7 @@ def rigid_caveat(problem: Problem, prior: Prior) -> str:
     pixels = "1 boundary pixel was" if count == 1 else f"{count} boundary pixels were"
     return Note(
         f"{pixels} held exactly, although the confidence is below 1, because observations cannot "
-        "slip in a problem with rigid tissue",
+        "slip in large motion with rigid tissue",
         short="uncertain tissue is held exactly",
     )
 

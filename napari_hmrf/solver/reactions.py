@@ -15,6 +15,7 @@ from napari_hmrf.solver.data_term import DataTerm
 from napari_hmrf.solver.drift import has_drift, with_drift_of
 from napari_hmrf.solver.priors import NeoHookeanPrior
 from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.slip_forces import slip_forces
 from napari_hmrf.solver.solution import Solution
 
 #: Relative difference up to which spacings count as equal.
@@ -43,8 +44,8 @@ def reactions(problem: Problem, solution: Solution) -> npt.NDArray[np.float64]:
         Reaction forces, with components in the order of the axes; 0 at sites without observation.
         A landmark acts on the corners of its element.
         In an image, forces per thickness, in the unit of stiffness times length; in a volume,
-        forces, in the unit of stiffness times length squared. The force on a rigid body is
-        distributed over its observed sites.
+        forces, in the unit of stiffness times length squared. The force on a rigid body that is
+        not due to slipping observations is distributed over its other observed sites.
 
     Raises
     ------
@@ -82,9 +83,15 @@ def reactions(problem: Problem, solution: Solution) -> npt.NDArray[np.float64]:
         moved = None
         if isinstance(prior, NeoHookeanPrior):
             moved = host.planes(solution.displacement / np.float64(problem.unit))
+        # An observation that slips exerts its largest force; the others bear the rest.
+        pulls = host.planes(slip_forces(problem, prior, solution.displacement))
+        held &= pulls == 0
         bodies = Bodies(bodies_of(problem.stiffness), prior.material(problem), held, moved)
+        on_bodies = bodies.hold(np.zeros_like(held))
+        pulls[~on_bodies] = 0
+        planes -= pulls
         bodies.carry(planes)
-        forces = host.field(planes)
+        forces = host.field(planes + pulls)
     return joined.returned(np.where(acts, forces * prior.force_unit(problem), 0.0))
 
 

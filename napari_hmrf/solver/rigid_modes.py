@@ -3,7 +3,8 @@
 A piece of tissue has three rigid motions without energy in an image (two translations and a
 rotation), and six in a volume. The observations of each piece must prevent all of these motions;
 otherwise the solution is not unique. Two pieces that share only a single site, or in a volume only
-an edge, are hinged there: each piece can still rotate by itself.
+an edge, are hinged there: each piece can still rotate by itself. Pieces with tissue of the same
+rigid body move together.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ import scipy
 from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.field.neighbours import around_sites, in_elements
+from napari_hmrf.field.neighbours import around_sites, in_elements, of_corners
 from napari_hmrf.solver.coupling import Coupling
 from napari_hmrf.solver.precision import are_equal
 from napari_hmrf.solver.problem import Problem
@@ -96,6 +97,8 @@ class HeldTissue(NamedTuple):
     precision : ndarray, shape (H, W, 2, 2) or (D, H, W, 3, 3), or None
         Precision of the data term.
     landmarks : Landmarks or None
+    rigid : ndarray of bool, shape (H, W) or (D, H, W), or None
+        Mask of rigid tissue.
     """
 
     tissue: npt.NDArray[np.bool_]
@@ -103,6 +106,7 @@ class HeldTissue(NamedTuple):
     strength: float = 0.0
     precision: Motions | None = None
     landmarks: Landmarks | None = None
+    rigid: npt.NDArray[np.bool_] | None = None
 
     def covers_problem(self, problem: Problem) -> bool:
         """Return whether the problem has the same tissue and data, and all checked constraints."""
@@ -110,7 +114,8 @@ class HeldTissue(NamedTuple):
             return False
         if not self.covers(problem.tissue, problem.known):
             return False
-        return are_equal(self.precision, problem.precision)
+        same_rigid = are_equal(self.rigid, problem.rigid)
+        return same_rigid and are_equal(self.precision, problem.precision)
 
     def covers(self, tissue: npt.NDArray[np.bool_], held: npt.NDArray[np.bool_]) -> bool:
         """Return whether the tissue is the same, and `held` includes all checked constraints.
@@ -196,7 +201,7 @@ def holding_strength(problem: Problem) -> float:
     value = min(float(stops[0] / sizes[cluster].sum() ** share) for cluster, _, stops, _ in ways)
     if problem.precision is not None:
         value *= _mean_grip(problem)
-    data = problem.precision, problem.landmarks
+    data = problem.precision, problem.landmarks, problem.rigid
     _firm.value = HeldTissue(problem.tissue, held, value, *data)
     return value
 
@@ -336,7 +341,24 @@ def pieces_of(m: npt.NDArray[Any]) -> tuple[Labels, int]:
     compute_thread.check_cancelled()
     pieces, count = scipy.ndimage.label(elements)
     compute_thread.check_cancelled()
+    is_rigid = np.isinf(m)
+    if is_rigid.any():
+        return _joined(pieces, int(count), elements & of_corners(is_rigid, np.logical_or))
     return pieces, int(count)
+
+
+def _joined(pieces: Labels, count: int, rigid: npt.NDArray[np.bool_]) -> tuple[Labels, int]:
+    """Give pieces with elements of the same rigid body the same label."""
+    sites = around_sites(rigid, np.logical_or)
+    bodies, more = scipy.ndimage.label(sites, structure=np.ones((3,) * sites.ndim))
+    of = bodies[(slice(None, -1),) * sites.ndim][rigid] + count
+    graph = scipy.sparse.coo_matrix(
+        (np.ones(len(of)), (pieces[rigid], of)), shape=(count + more + 1,) * 2
+    )
+    _, label = scipy.sparse.csgraph.connected_components(graph, directed=False)
+    numbers, labels = np.unique(label[1 : count + 1], return_inverse=True)
+    joined = np.concatenate([[0], labels + 1])[pieces].astype(pieces.dtype)
+    return joined, len(numbers)
 
 
 def _free(ways: Iterable[_Ways]) -> Iterator[tuple[npt.NDArray[np.int64], Motions, Motions]]:

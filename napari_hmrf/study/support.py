@@ -17,7 +17,7 @@ import numpy.typing as npt
 from napari_hmrf.errors import LayerError, ProblemError
 from napari_hmrf.solver.model_names import ELASTIC, ModelName
 from napari_hmrf.solver.optimizers import Optimizer
-from napari_hmrf.solver.priors import Elastic, Prior
+from napari_hmrf.solver.priors import NeoHookeanPrior, Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.study.landmark_data import uncertain_landmarks
 from napari_hmrf.study.models import family_of
@@ -71,16 +71,13 @@ class _Input:
         Models that support the input.
     remedy : str
         What to change in the input, as an alternative to another model.
-    instead : str
-        Model to use instead.
     is_exact : bool
-        True if constraints must be exact in these models.
+        True if constraints must be exact in large motion.
     """
 
     find: Callable[[_Content], _Found | None]
     models: tuple[ModelName, ...]
     remedy: str
-    instead: str = _USE_ELASTIC
     is_exact: bool = False
 
 
@@ -142,13 +139,7 @@ _INPUTS = (
     _Input(_sliding_surface, _LINEAR, "remove the sliding surface"),
     _Input(_sliding_tissue, _LINEAR, "let no tissue slide (`slides=False`)"),
     _Input(_loads, ELASTIC, "a boundary that moves or expands"),
-    _Input(
-        _rigid_tissue,
-        ELASTIC,
-        "use a finite stiffness",
-        "the elastic model that holds by confidence (`penalty=None`)",
-        is_exact=True,
-    ),
+    _Input(_rigid_tissue, ELASTIC, "use a finite stiffness", is_exact=True),
     _Input(_uncertain_landmarks, ELASTIC, "set ± to 0 (`sd=0`)"),
     _Input(_drift, _LINEAR, "estimate no drift (`drift=False`)"),
     _Input(_measured_motion, ELASTIC, "undo the registration (`measured=None`)"),
@@ -197,7 +188,7 @@ def unsupported(
         study.slides if slides is None else slides,
     )
     name = family_of(prior, optimizer)
-    can_slip = isinstance(prior, Elastic) and prior.penalty not in (None, math.inf)
+    can_slip = isinstance(prior, NeoHookeanPrior) and prior.penalty not in (None, math.inf)
     for each in _INPUTS:
         slipping = each.is_exact and can_slip
         if name in each.models and not slipping:
@@ -207,7 +198,7 @@ def unsupported(
             by = f"the model '{name}'{' with boundaries that may slip' if slipping else ''}"
             return LayerError(
                 study.named(*found.parts),
-                f"{found.clause}, which {by} does not support. Use {each.instead}, or "
+                f"{found.clause}, which {by} does not support. Use {_USE_ELASTIC}, or "
                 f"{each.remedy}.",
             )
     return None

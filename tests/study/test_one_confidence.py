@@ -125,9 +125,8 @@ def test_uncertain_observations_in_a_volume_slip():
     assert 0.01 < found.displacement[4, 3, 3, 2] < 1.5
 
 
-@pytest.mark.parametrize("kind", [ElasticPrior, NeoHookeanPrior])
-def test_with_rigid_tissue_all_observations_are_exact_and_a_note_reports_it(kind):
-    problem = uncertain_problem(0.5, rigid=True, far=1.0)
+def test_in_large_motion_with_rigid_tissue_observations_are_exact_and_a_note_reports_it():
+    problem, kind = uncertain_problem(0.5, rigid=True, far=1.0), NeoHookeanPrior
     found = solve(problem, kind(), backend="cpu")
     np.testing.assert_allclose(found.displacement[11, 11], (0, 1), atol=2e-3)
     (note,) = found.notes

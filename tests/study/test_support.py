@@ -7,7 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from napari_hmrf import BoundaryRule, Grid, Material, Motion, Study, Tissue
+from napari_hmrf import (
+    BoundaryRule,
+    ElasticPrior,
+    Grid,
+    Material,
+    Motion,
+    NeoHookeanPrior,
+    Study,
+    Tissue,
+)
 from napari_hmrf.errors import LayerError, ProblemError
 from napari_hmrf.solver.model_names import ELASTIC, MODELS
 from napari_hmrf.study.ground import build_problem
@@ -88,11 +97,12 @@ def test_a_model_refuses_exactly_the_inputs_that_it_does_not_support(name):
                 build_problem(replace(given, prior=prior, optimizer=optimizer))
 
 
-def test_rigid_tissue_needs_exact_constraints():
+def test_large_motion_of_rigid_tissue_needs_exact_constraints():
     given = INPUTS["rigid tissue"][0]
-    prior = replace(given.prior, penalty=0.1)
-    assert unsupported(given, (prior, given.optimizer)).field == "tissue"
-    assert unsupported(given, (replace(prior, penalty=np.inf), given.optimizer)) is None
+    prior, optimizer = NeoHookeanPrior(penalty=0.1), given.optimizer
+    assert unsupported(given, (prior, optimizer)).field == "tissue"
+    assert unsupported(given, (replace(prior, penalty=np.inf), optimizer)) is None
+    assert unsupported(given, (ElasticPrior(penalty=0.1), optimizer)) is None
 
 
 @pytest.mark.parametrize(

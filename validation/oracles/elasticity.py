@@ -286,7 +286,32 @@ def direct_solution(
     matrix = block_matrix(problem, prior, locking=locking)
     held = (problem.known if held is None else held).ravel()
     field = np.where(held, problem.observed.ravel(), 0).astype(np.float64)
-    alone, columns = ~held & (matrix.diagonal() > 0), []
+    basis, field = rigid_coordinates(problem, matrix.diagonal(), held, field)
+    right = load_vector(problem, prior) - matrix @ field
+    if force is not None:
+        right += np.ravel(force)
+    if basis.shape[1]:
+        field += basis @ solved((basis.T @ matrix.tocsr() @ basis).tocsc(), basis.T @ right)
+    return field.reshape(problem.observed.shape)
+
+
+def rigid_coordinates(
+    problem: Problem, diagonal: Array, held: Mask, field: Array
+) -> tuple[sp.csr_array, Array]:
+    """Return P and b of all fields d = P v + b that move rigid bodies as such.
+
+    Parameters
+    ----------
+    problem : Problem
+    diagonal : ndarray, shape (n,)
+        Diagonal of the matrix; components with 0 outside bodies have no equation.
+    held : ndarray of bool, shape (n,)
+        Mask of the prescribed components.
+    field : ndarray, shape (n,)
+        Displacement of the prescribed components; 0 elsewhere.
+    """
+    field = field.copy()
+    alone, columns = ~held & (diagonal > 0), []
     for at, motions in _bodies(problem):
         alone[at] = False
         free, field[at] = free_motions(motions, held[at], field[at])
@@ -294,13 +319,7 @@ def direct_solution(
         entries = free.ravel(), (rows.ravel(), cols.ravel())
         columns.append(sp.csc_array(entries, shape=(field.size, free.shape[1])))
     columns.append(sp.eye_array(field.size, format="csc")[:, np.flatnonzero(alone)])
-    basis = sp.hstack(columns, format="csr")
-    right = load_vector(problem, prior) - matrix @ field
-    if force is not None:
-        right += np.ravel(force)
-    if basis.shape[1]:
-        field += basis @ solved((basis.T @ matrix.tocsr() @ basis).tocsc(), basis.T @ right)
-    return field.reshape(problem.observed.shape)
+    return sp.hstack(columns, format="csr"), field
 
 
 def rigid_sites(m: npt.NDArray[Any]) -> Mask:

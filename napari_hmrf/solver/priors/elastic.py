@@ -70,8 +70,7 @@ class ElasticPrior:
         Strength of observations. By default, it depends on the confidence c: with c = 1, an
         observation is certain and prescribed exactly; with 0 < c < 1 it is doubted and exerts a
         force of at most c per component, where a force of 1 strains a pixel of the stiffest tissue
-        by 1. The observation slips where the force would exceed this limit. If there is rigid
-        tissue, observations cannot slip, and all observations are prescribed exactly. A number sets
+        by 1. The observation slips where the force would exceed this limit. A number sets
         K of eq. 19 for all observations, including certain ones: each exerts a force of at most
         K c. With ``inf``, every observation with c > 0 is prescribed exactly.
     """
@@ -134,17 +133,10 @@ class ElasticPrior:
         Raises
         ------
         ProblemError
-            If a piece of tissue could move freely, or if there is rigid tissue and the penalty is
-            finite.
+            If a piece of tissue could move freely.
         """
         if isinstance(self.poisson, np.ndarray):
             _check_poisson_map(self.poisson, problem)
-        if self.penalty is not None and self.penalty < math.inf and problem.rigid.any():
-            raise ProblemError(
-                "stiffness",
-                "is infinite (rigid) somewhere, but observations cannot slip if there is rigid "
-                "tissue. Omit the prior's penalty, or give that tissue a finite stiffness.",
-            )
         check_held(problem)
         return self.in_force(problem)
 
@@ -157,7 +149,7 @@ class ElasticPrior:
         if self.penalty is not None:
             return self.penalty < math.inf
         doubted = problem.known & (problem.confidence < 1)
-        return bool(doubted.any()) and not problem.rigid.any()
+        return bool(doubted.any())
 
     def limit(self, problem: Problem) -> Float64Array | None:
         """Return the force limits P, (H, W, 2), or None if observations cannot slip.

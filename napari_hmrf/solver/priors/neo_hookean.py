@@ -6,6 +6,7 @@ The elements are those of `ElasticPrior`, but their rotation and stretch are unl
 
 from __future__ import annotations
 
+import math
 from dataclasses import KW_ONLY, dataclass, replace
 from typing import Any
 
@@ -38,7 +39,8 @@ class NeoHookeanPrior:
     plane : {"stress", "strain"}
         Same as for `ElasticPrior`.
     penalty : float, optional
-        Same as for `ElasticPrior`.
+        Same as for `ElasticPrior`. If there is rigid tissue, observations cannot slip: by default,
+        all observations are then prescribed exactly, and a finite penalty is refused.
     """
 
     poisson: float | npt.NDArray[np.float32] = 0.45
@@ -85,8 +87,8 @@ class NeoHookeanPrior:
         Raises
         ------
         ProblemError
-            If growth turns tissue inside out, if landmarks have a drift, or in the cases of
-            `ElasticPrior.resolved`.
+            If growth turns tissue inside out, if landmarks have a drift, if there is rigid tissue
+            and the penalty is finite, or in the cases of `ElasticPrior.resolved`.
         """
         _check_growth(problem)
         if problem.landmarks is not None and problem.landmarks.drift:
@@ -95,16 +97,23 @@ class NeoHookeanPrior:
                 "cannot have a drift in large motion. Use ElasticPrior, or estimate no drift "
                 "(`drift=False`).",
             )
+        if self.penalty is not None and self.penalty < math.inf and problem.rigid.any():
+            raise ProblemError(
+                "stiffness",
+                "is infinite (rigid) somewhere, but observations cannot slip in large motion if "
+                "there is rigid tissue. Omit the prior's penalty, or give that tissue a finite "
+                "stiffness.",
+            )
         self.at_rest.resolved(problem)
         return self.in_force(problem)
 
     def in_force(self, problem: Problem) -> NeoHookeanPrior:
         """Return the prior with an infinite penalty if the problem's observations cannot slip."""
-        return replace(self, penalty=self.at_rest.in_force(problem).penalty)
+        return self if self.can_slip(problem) else replace(self, penalty=math.inf)
 
     def can_slip(self, problem: Problem) -> bool:
         """Return whether any observation of the problem may slip."""
-        return self.at_rest.can_slip(problem)
+        return self.at_rest.can_slip(problem) and not problem.rigid.any()
 
     def material(self, problem: Problem) -> FiniteMaterial:
         """Return the properties of a problem's tissue that the kernels require."""
@@ -116,7 +125,7 @@ class NeoHookeanPrior:
 
     def limit(self, problem: Problem) -> Float64Array | None:
         """Return the force limits; see `ElasticPrior.limit`."""
-        return self.at_rest.limit(problem)
+        return self.in_force(problem).at_rest.limit(problem)
 
     def force_unit(self, problem: Problem) -> float:
         """Return the unit of force; see `ElasticPrior.force_unit`."""
