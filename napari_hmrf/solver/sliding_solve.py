@@ -136,12 +136,6 @@ def _check_support(problem: Problem, prior: Prior, optimizer: Optimizer) -> None
             "sliding",
             "is for ElasticPrior with Multigrid. Use this model, or remove the sliding parts.",
         )
-    if prior.can_slip(problem):
-        raise ProblemError(
-            "sliding",
-            "cannot be used beside observations with a confidence between 0 and 1 or a finite "
-            "penalty. Use a precision instead, or a confidence of 1.",
-        )
 
 
 def _start(initial: Initial | None, parts: UnfoldedProblem) -> Solution | None:

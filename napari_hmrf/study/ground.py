@@ -23,7 +23,7 @@ from napari_hmrf.solver.data_term import combined_data
 from napari_hmrf.solver.drift import drift_clauses
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.optimizers import Optimizer
-from napari_hmrf.solver.priors import Elastic, ElasticPrior, Prior
+from napari_hmrf.solver.priors import Elastic, Prior
 from napari_hmrf.solver.problem import FloatArray, Problem, as_stiffness, check_reach
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, solve
@@ -267,7 +267,6 @@ class Ground:
                 landmarks=landmarks,
                 sliding=sliding_parts(canvas.labels, self.palette.materials, m),
             )
-        self._refuse_slip_beside_sliding(problem, prior)
         return Statement(problem, prior, self.study.optimizer, at_rest, labels, self.study, removed)
 
     def _check_remaining(self, m: FloatArray, canvas: Canvas) -> None:
@@ -304,18 +303,6 @@ class Ground:
             parts.append(motion.cavity.loads(m, removed, motion.weight, spacing=spacing))
         known = [part for part in parts if part is not None]
         return reduce(add, known) if known else None
-
-    def _refuse_slip_beside_sliding(self, problem: Problem, prior: Prior) -> None:
-        """Raise an error for observations that may slip beside tissue that slides."""
-        if problem.sliding is None or not isinstance(prior, ElasticPrior):
-            return
-        if prior.can_slip(problem):
-            raise LayerError(
-                self.study.named("tissue", "image"),
-                "has tissue that slides along other tissue, which cannot be combined with a "
-                "confidence between 0 and 1 or a finite spring strength. Use a confidence of 1, or "
-                "let no tissue slide (`slides=False`).",
-            )
 
     def refuse_motionless(self, statement: Statement) -> None:
         """Raise an error if a problem has no displacement, force, growth or removed tissue.

@@ -10,6 +10,7 @@ from napari_hmrf.field.neighbours import sites_of_elements
 from napari_hmrf.landmarks import Landmarks
 from napari_hmrf.loads import Loads, weight
 from napari_hmrf.solver.coupling import Coupling
+from napari_hmrf.solver.problem import variant_of
 from napari_hmrf.solver.unfolded import unfolded
 from napari_hmrf.tissue import SlidingParts
 from validation.oracles.parts import sliding_field
@@ -291,7 +292,27 @@ def test_parts_that_cannot_slide_are_refused_with_the_reason():
     for prior in (SeilerPrior(), NeoHookeanPrior()):
         with pytest.raises(ProblemError, match="is for ElasticPrior"):
             solve(problem(), prior, backend="cpu")
-    with pytest.raises(ProblemError, match="confidence between 0 and 1"):
-        solve(problem(0.5 * held), backend="cpu")
     with pytest.raises(ProblemError, match="energy of one displacement is not available"):
         ElasticPrior().energy(problem(), rest)
+
+
+def test_observations_slip_beside_sliding_surfaces_as_if_they_were_forces():
+    problem, prior = tissue_with_parts(1)
+    dice = np.random.default_rng(0)
+    limit = np.where(problem.known, dice.choice([0.02, 0.2, 1.0], problem.known.shape), 0)
+    problem = variant_of(problem, confidence=limit.astype(np.float32))
+    found = solve(problem, prior, backend="cpu")
+    off = problem.observed - found.displacement
+    slips = problem.known & (limit < 1) & (np.abs(off) > 1e-3 * problem.unit)
+    assert 0.1 < slips[problem.known].mean() < 0.9
+    # Each observation that slips pulls with its limit; the others are prescribed.
+    pulls = prior.force_unit(problem) * np.where(slips, limit * np.sign(off), 0)
+    held = problem.known & ~slips
+    same = variant_of(
+        problem,
+        known=held,
+        confidence=held.astype(np.float32),
+        loads=Loads(force=pulls, spacing=problem.spacing),
+    )
+    exact = sliding_field(same, prior)
+    np.testing.assert_allclose(found.displacement, exact, atol=2e-3 * problem.unit)

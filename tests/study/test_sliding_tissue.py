@@ -115,16 +115,6 @@ def test_uncertain_landmarks_turn_a_lung_in_a_rigid_chest_wall():
     assert gap <= 0.1
 
 
-SOFT = Motion(observed=np.zeros((SIZE, SIZE, 2)), confidence=np.full((SIZE, SIZE), 0.5))
-
-
-def test_observations_that_may_slip_are_refused_beside_sliding_tissue_by_name():
-    study = replace(chest(), motion=SOFT, names={"tissue": "Organs"})
-    said = "'Organs' has tissue that slides.*confidence between 0 and 1"
-    with pytest.raises(LayerError, match=said):
-        build_problem(study)
-
-
 def test_an_uncertainty_of_sliding_tissue_is_refused_in_the_words_of_the_study():
     given = replace(chest(), names={"tissue": "Organs"})
     said = "'Organs' has tissue that slides.*an uncertainty is not available.*slides=False"
