@@ -34,6 +34,7 @@ from napari_hmrf.field.neighbours import sites_of_elements
 from napari_hmrf.fields import count_folds
 from napari_hmrf.solver.backends.cpu import layout
 from napari_hmrf.solver.backends.direct.factors import Factors
+from napari_hmrf.solver.connected import connected
 from napari_hmrf.solver.live_solver import TOLERANCE, Update
 from napari_hmrf.solver.priors.finite_strain import BARRIER_BEGIN
 from validation.bodies import between_plates, dice_of
@@ -44,12 +45,14 @@ from validation.oracles.large_motion import large_field, smallest_jacobian, with
 from validation.oracles.paper import solve_exactly
 from validation.oracles.parts import dense_solution, forces_of, sliding_field
 from validation.oracles.posterior import posterior_mean
+from validation.oracles.slipping_bodies import slipped
 from validation.problems import (
     LargeMotion,
     RandomProblem,
     State,
     edits_of,
     mild_tissue,
+    random_bodies,
     random_data,
     random_large_data,
     random_large_motion,
@@ -331,6 +334,47 @@ def _beside(
     if outcome == "right" and error > _TIMES * of.error + _GRACE:
         outcome = "reported"
     return Verdict(outcome, kinds, error, of.error, Multigrid().tolerance, note=note)
+
+
+def judge_bodies(seed: int, number: int, backend: str = "cpu") -> Iterator[Verdict]:
+    """Compare rigid bodies and observations that may slip with a dense solution.
+
+    Numbers that are multiples of 3 are volumes. Errors above the reported error are faults, except
+    for fields of the same energy. So are refusals of tissue that is not free to move, unless loads
+    exceed all forces, certain observations change the shape of a body, or landmarks determine no
+    drift.
+    """
+    drawn = random_bodies(dice_of(seed, number), 2 if number % 3 else 3)
+    try:
+        problem = drawn.problem
+    except HmrfError:
+        return  # some displacements are too large
+    kinds = {"problem": "images" if number % 3 else "volumes"} | drawn.kinds
+    exact = slipped(connected(problem, drawn.prior).problem, drawn.prior)
+    try:
+        found = solve(problem, drawn.prior, optimizer=Multigrid(drawn.tolerance), backend=backend)
+    except ProblemError as refusal:
+        outcome = "refused: free" if exact.is_free else "refused"
+        if refusal.field != "confidence":
+            outcome = f"refused: {refusal.field}"
+        yield Verdict(outcome, kinds, note=f"{drawn}: {refusal}")
+        return
+    except ConvergenceError as refusal:
+        yield Verdict("refused", kinds, note=f"{drawn}: {refusal}")
+        return
+    of = found.convergence
+    assert of is not None
+    whole = sites_of_elements(problem.stiffness)
+    moved = found.displacement / problem.unit
+    error = float(np.abs(moved - exact.field)[whole].max(initial=0.0))
+    size = max(1.0, float(np.abs(exact.field).max()))
+    outcome = "right" if error <= of.error + _ROUNDED * size else "reported"
+    if outcome == "reported" and exact.motions:
+        least = exact.energy(exact.field)
+        same = abs(exact.energy(moved) - least) <= _ROUNDED * max(1.0, abs(least))
+        outcome = "right: one of several" if same else outcome
+    outcome = outcome if exact.is_proven else "unsure"
+    yield Verdict(outcome, kinds, error, of.error, drawn.tolerance, note=str(drawn))
 
 
 # Inputs beside sliding parts, for `tissue_with_parts`.
@@ -651,6 +695,7 @@ CAMPAIGNS = {
     "images": Campaign(judge_image, 5000),
     "volumes": Campaign(judge_volume, 600),
     "parts": Campaign(judge_parts, 2500),
+    "bodies": Campaign(judge_bodies, 600),
     "sliding": Campaign(judge_sliding, 50 * len(_BESIDE_PARTS)),
     "data": Campaign(judge_data, 100),
     "large-data": Campaign(judge_large_data, 600),

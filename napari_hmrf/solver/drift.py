@@ -41,8 +41,9 @@ from napari_hmrf.solver.warm_start import Initial
 
 Float64Array = npt.NDArray[np.float64]
 Progress = Callable[[Monitor], None]
-#: Function that solves a problem without drift, from a warm start, and reports its progress.
-Solve = Callable[[Problem, Optimizer, Initial | None, Progress | None], Solution]
+#: Function that solves a problem without drift with a prior, from a warm start, and reports its
+#: progress.
+Solve = Callable[[Problem, ElasticPrior, Optimizer, Initial | None, Progress | None], Solution]
 
 # Share of the tolerance for the field without drift. The rest is for the responses.
 _SHARE = 0.75
@@ -99,7 +100,7 @@ def solve_with_drift(
     initial: Initial | None,
     solve: Solve,
 ) -> Solution:
-    """Solve a problem together with its drift.
+    """Solve a problem whose observations do not slip together with its drift.
 
     Parameters
     ----------
@@ -115,16 +116,8 @@ def solve_with_drift(
     Raises
     ------
     ProblemError
-        If observations may slip, the landmarks do not determine a drift, or the drift would
-        compress tissue to nothing.
+        If the landmarks do not determine a drift, or the drift would compress tissue to nothing.
     """
-    if prior.can_slip(problem):
-        raise ProblemError(
-            "landmarks",
-            "cannot have a drift beside observations that may slip. Give these observations a "
-            "confidence of 1 and no penalty (`penalty=None`), or estimate no drift "
-            "(`drift=False`).",
-        )
     check_memory(problem)
     begun = time.perf_counter()
     joined = connected(problem, prior)
@@ -137,7 +130,8 @@ def solve_with_drift(
     _responses.value = cached
     if initial is not None:
         initial = cached.latest or initial
-    base = solve(plain, _tighter(optimizer, _SHARE), initial, _part(progress, solves - 1, solves))
+    report = _part(progress, solves - 1, solves)
+    base = solve(plain, prior, _tighter(optimizer, _SHARE), initial, report)
     cached.latest = base
     pull = cached.pull(plain, prior, base.displacement)
     amounts = _amounts(cached.matrix, pull, cached.unit_of_energy)
@@ -146,7 +140,7 @@ def solve_with_drift(
     energy = base.energy.copy()
     # The iterations find the energy without drift; the last value is the energy of the result.
     energy[-1] += float(pull @ amounts) / 2 / np.count_nonzero(problem.tissue)
-    loads = Loads(growth=_growth(problem, drift), spacing=problem.spacing)
+    loads = Loads(growth=growth_of(problem, drift), spacing=problem.spacing)
     loads = loads if problem.loads is None else problem.loads + loads
     assert base.elasticity is not None
     convergence = base.convergence
@@ -223,7 +217,13 @@ class _Responses:
         """Compute the responses, and the forces and the matrix that follow from them."""
         schedule, units = _response_optimizer(optimizer), _unit_strains(len(problem.shape))
         solved = [
-            solve(_response_problem(problem, unit), schedule, None, _part(progress, number, solves))
+            solve(
+                _response_problem(problem, unit),
+                prior,
+                schedule,
+                None,
+                _part(progress, number, solves),
+            )
             for number, unit in enumerate(units)
         ]
         bare = variant_of(problem, loads=None)
@@ -319,8 +319,8 @@ def _unit_strains(axes: int) -> list[Float64Array]:
     return units
 
 
-def _growth(problem: Problem, strain: Float64Array) -> npt.NDArray[np.float32]:
-    """Return a uniform growth of all tissue that is not rigid."""
+def growth_of(problem: Problem, strain: Float64Array) -> npt.NDArray[np.float32]:
+    """Return a drift as a uniform growth of all tissue that is not rigid."""
     soft = problem.tissue & ~problem.rigid
     return np.asarray(soft[..., None, None] * strain.astype(np.float32), np.float32)
 
@@ -328,7 +328,7 @@ def _growth(problem: Problem, strain: Float64Array) -> npt.NDArray[np.float32]:
 def _response_problem(plain: Problem, unit: Float64Array) -> Problem:
     marks = plain.landmarks
     assert marks is not None
-    rest, loads = np.zeros_like(plain.observed), Loads(growth=_growth(plain, unit))
+    rest, loads = np.zeros_like(plain.observed), Loads(growth=growth_of(plain, unit))
     return variant_of(plain, observed=rest, loads=loads, landmarks=marks.at_rest)
 
 

@@ -44,6 +44,7 @@ from napari_hmrf.solver.preparation import loop_watch, prepare, provide_loops
 from napari_hmrf.solver.priors import Elastic, ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.sliding_solve import solve_with_sliding
+from napari_hmrf.solver.slipping_drift import solve_with_slipping_drift
 from napari_hmrf.solver.solution import Provenance, Solution
 from napari_hmrf.solver.staged_progress import StagedProgress
 from napari_hmrf.solver.unconnected import left_at_rest, scraps
@@ -338,13 +339,19 @@ def _solve_connected(
         return _solution_of(problem, prior, optimizer, backend, progress, initial)
     elastic = prior if isinstance(prior, ElasticPrior) else ElasticPrior()
 
-    def solve_one(
-        part: Problem, schedule: Optimizer, begin: Initial | None, report: Progress | None
+    def solve_with(
+        part: Problem,
+        of_part: ElasticPrior,
+        schedule: Optimizer,
+        begin: Initial | None,
+        report: Progress | None,
     ) -> Solution:
-        return _solution_of(part, elastic, schedule, backend, report, begin)
+        return _solution_of(part, of_part, schedule, backend, report, begin)
 
     schedule = optimizer or Multigrid()
-    return solve_with_drift(problem, elastic, schedule, progress, initial, solve_one)
+    if elastic.can_slip(problem):
+        return solve_with_slipping_drift(problem, elastic, schedule, progress, initial, solve_with)
+    return solve_with_drift(problem, elastic, schedule, progress, initial, solve_with)
 
 
 def _solution_of(

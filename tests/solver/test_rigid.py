@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, ProblemError, SeilerPrior, solve
+from napari_hmrf.landmarks import Landmarks
 from napari_hmrf.loads import reactions
 from napari_hmrf.solver.backends.rigid.bodies import rigid_sites
 from tests.support.opengl import require_opengl
 from validation.oracles.elasticity import direct_solution
+from validation.oracles.slipping_bodies import slipped
 
 N = 49
 PRIOR = ElasticPrior(0.3)
@@ -221,3 +223,26 @@ def test_uncertain_observations_of_a_bone_pull_with_their_total_force(shape):
         moved.append(bone[:, 0].mean())
     assert moved[0] > 1e-4
     np.testing.assert_allclose(np.divide(moved, moved[0]), (1, 2, 3), rtol=0.2)
+
+
+@pytest.mark.parametrize("data", ["precision", "landmarks"])
+def test_observations_slip_beside_data_and_a_bone(data):
+    dice = np.random.default_rng(49)
+    m = 10 ** dice.uniform(0, 1.5, (7, 8))
+    m[4:6, 1:4] = np.inf
+    observed = dice.normal(size=(7, 8, 2))
+    points = dice.random((6, 2)) * (5.9, 6.9)
+    given = {
+        "precision": dice.random((7, 8)),
+        "landmarks": Landmarks(points, points + dice.normal(size=points.shape), sd=0.1),
+    }
+    problem = Problem(
+        observed=observed,
+        confidence=np.where(dice.random((7, 8, 2)) < 0.3, 0.1, 0.0),
+        stiffness=m,
+        **{data: given[data]},
+    )
+    solution, exact = solve(problem, backend="cpu"), slipped(problem, ElasticPrior())
+    assert exact.is_proven
+    off = np.abs(solution.displacement - exact.field).max()
+    assert off <= solution.convergence.error + 1e-6

@@ -164,7 +164,7 @@ def check_balanced(
     ProblemError
         If the loads would move some tissue without limit.
     """
-    if load is None or problem.loads is None or problem.loads.force is None or problem.coupling:
+    if load is None or problem.loads is None or problem.loads.force is None:
         return  # growth has no resultant force
     total, fixed = np.abs(load).sum(), observed & np.isinf(limit)
     at = np.flatnonzero(observed & ~fixed)

@@ -104,7 +104,8 @@ class Slip:
         stored: float,
         new_refinement: Callable[[LinearModel], Refinement],
     ) -> None:
-        self._problem, self._backend, self._model = problem, backend, model
+        self._problem, self._backend, self._latest = problem, backend, model
+        self._material = model.material
         self._y, self._load, self._stored = y, load, stored
         self._new_refinement = new_refinement
         self._fixed: HeldPlanes = observed & np.isinf(limit)
@@ -157,9 +158,16 @@ class Slip:
     def _with_load(self, forces: Planes) -> Planes:
         return forces if self._load is None else forces + self._load
 
+    @property
+    def _model(self) -> LinearModel:
+        """Model without springs. If it has a data term, springs have used its memory."""
+        if self._latest.material is not self._material:
+            self._latest = self._backend.elastic_model(self._material)
+        return self._latest
+
     def _with_springs(self, springs: Planes) -> tuple[LinearModel, Refinement]:
         """Return the model with additional springs on observed components."""
-        material, axes = self._model.material, len(self._y)
+        material, axes = self._material, len(self._y)
         weights = np.zeros((len(packed_axes(axes)), *self._y.shape[1:]))
         weights[:axes] = springs
         points = None
@@ -265,8 +273,6 @@ class Slip:
 
     def _free(self, held: HeldPlanes) -> list[Float64Array]:
         """Return all free motions of tissue with the constrained components `held`."""
-        if self._problem.coupling is not None:
-            return []  # a factorization fails if parts that slide are free
         return list(free_motions(self._problem, host.field(held)))
 
     def _is_balanced(self, motions: list[Float64Array]) -> bool:
