@@ -227,20 +227,6 @@ def refusal(free: FreeMotion) -> ProblemError:
     )
 
 
-def free_motion(problem: Problem, held: npt.NDArray[np.bool_]) -> FreeMotion | None:
-    """Return a free motion of some tissue, or None if there is none.
-
-    Parameters
-    ----------
-    problem : Problem
-    held : ndarray of bool, shape (H, W, 2)
-        Mask of the constrained components.
-    """
-    pieces, count = pieces_of(problem.stiffness)
-    ways = _modes(pieces, count, held, problem)
-    return _first_motion(problem, pieces, count, ways)
-
-
 def _some_pieces(problem: Problem) -> tuple[Labels, int]:
     """Return the labelled pieces of tissue; raise an error if there is no element of tissue."""
     pieces, count = pieces_of(problem.stiffness)
