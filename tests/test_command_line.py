@@ -270,7 +270,7 @@ def test_notes_in_the_shell_name_options_of_the_shell(files, capsys):
     (files / "m.csv").write_text("label,stiffness\n1,3\n2,rigid\n")
     code, _, err = run(f"{SOLVE} -o out --model paper --force", capsys)
     assert code == 1
-    assert "that holds by confidence (without --penalty)" in err
+    assert "Use the elastic model (--model elastic)" in err
     assert "Advanced" not in err
 
 
