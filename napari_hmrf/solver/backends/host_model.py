@@ -12,7 +12,7 @@ import numpy.typing as npt
 from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.solver.backends.earlier_results import EarlierResults
 from napari_hmrf.solver.backends.linear import Balance, HeldPlanes, Planes, Steps
-from napari_hmrf.solver.backends.rigid.bodies import Bodies
+from napari_hmrf.solver.backends.rigid.bodies import Bodies, BodySites
 from napari_hmrf.solver.backends.rigid.deflation import Deflation
 
 # The squares of values between these bounds are representable in single precision.
@@ -45,6 +45,8 @@ class HostModel:
     #: factor of a hundred.
     slow = False
     _held: HeldPlanes | None
+    #: Indices of the sites of each rigid body; None without rigid tissue.
+    _sites: Sequence[BodySites] | None = None
     #: Residual of a load; 0 at constrained components.
     _rest: npt.NDArray[np.float32]
 
@@ -72,6 +74,8 @@ class HostModel:
         self.earlier = EarlierResults()
         self._rest.fill(0)
         compute_thread.check_cancelled()
+        if self._sites is not None:
+            self.bodies = self.levels[0].bodies = Bodies(self._sites, self.material, held)
         self.levels[0].hold(held)
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
             compute_thread.check_cancelled()

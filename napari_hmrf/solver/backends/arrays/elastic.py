@@ -8,8 +8,8 @@ import numpy.typing as npt
 from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.solver.backends.arrays.level import ArrayLevel, Vector
 from napari_hmrf.solver.backends.arrays.model import ArrayModel
-from napari_hmrf.solver.backends.linear import HeldPlanes, Planes
-from napari_hmrf.solver.backends.rigid.bodies import Bodies, bodies_of
+from napari_hmrf.solver.backends.linear import Planes
+from napari_hmrf.solver.backends.rigid.bodies import bodies_of
 from napari_hmrf.solver.coarse_levels import grids, smoother_bounds
 from napari_hmrf.solver.priors.elements import (
     CYCLE_STAND_IN,
@@ -56,7 +56,7 @@ class ArrayElasticModel(ArrayModel):
     def __init__(self, material: ElasticMaterial) -> None:
         super().__init__(material)
         self.bounds = smoother_bounds(material)
-        self._sites = bodies_of(material.m) if material.rigid else []
+        self._sites = bodies_of(material.m) if material.rigid else None
         m = material.relative(CYCLE_STAND_IN)
         self._elements = lame_parameters(m, material.poisson, material.strain)
         lame = np.zeros((2, *(size + 4 for size in m.shape)))
@@ -67,12 +67,6 @@ class ArrayElasticModel(ArrayModel):
                 lame = _coarser(lame, grid)
             self.levels.append(ArrayElasticLevel(grid, lame, material.shape, number == 0))
         self._rest = self.levels[0].vector()
-
-    def hold(self, held: HeldPlanes) -> None:
-        """Set the constrained components on all levels."""
-        if self.material.rigid and (self._held is None or not np.array_equal(held, self._held)):
-            self.bodies = Bodies(self._sites, self.material, held)
-        super().hold(held)
 
     def pull(self, d: Planes, low: Planes | None = None) -> Planes:
         """Return -A d at all components, in double precision."""

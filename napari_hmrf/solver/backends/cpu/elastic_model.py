@@ -28,7 +28,7 @@ from napari_hmrf.solver.backends.cpu.small_levels import SmallLevel, SmallLevels
 from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
 from napari_hmrf.solver.backends.host_model import HostModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
-from napari_hmrf.solver.backends.rigid.bodies import Bodies, BodySites, bodies_of, can_deflate
+from napari_hmrf.solver.backends.rigid.bodies import bodies_of, can_deflate
 from napari_hmrf.solver.backends.rigid.deflation import Deflation
 from napari_hmrf.solver.coarse_levels import grids, smoother_bounds
 from napari_hmrf.solver.priors.elements import (
@@ -259,7 +259,7 @@ class CpuElasticModel(HostModel):
         self._exact_shape = np.array(material.shape, dtype=np.float64)
         self._held = None
         m, most = material.m, stiffest(material.m)
-        self._sites: list[BodySites] = []
+        self.bodies = self._sites = None
         if material.rigid:
             self._sites = bodies_of(m)
             stand_in = HELD_STAND_IN if can_deflate(self._sites, m.shape) else CYCLE_STAND_IN
@@ -276,6 +276,7 @@ class CpuElasticModel(HostModel):
             self._exact_lame,
         )
         self._set_levels()
+        self.levels[0].bodies = None
         if material.data is not None:
             self.levels[0].write_diagonal(self.levels[0].inverse)
             self.levels[0].set_data(material.data)
@@ -307,14 +308,6 @@ class CpuElasticModel(HostModel):
         about = self._shape, number == 0, np.zeros((grid[0], 2), dtype=np.int64)
         has_data = self.material.data is not None
         return CpuElasticLevel(grid, *about, has_data=has_data, layout=layout)
-
-    def hold(self, held: HeldPlanes) -> None:
-        """Set the prescribed components on all levels."""
-        if self._held is None or not np.array_equal(held, self._held):
-            rigid = self.material.rigid
-            self.bodies = Bodies(self._sites, self.material, held) if rigid else None
-            self.levels[0].bodies = self.bodies
-        super().hold(held)
 
     @property
     def moves(self) -> HeldPlanes:

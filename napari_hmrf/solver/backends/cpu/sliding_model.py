@@ -35,7 +35,7 @@ from napari_hmrf.solver.backends.cpu.volume_model import CpuVolumeModel
 from napari_hmrf.solver.backends.host_model import HostModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.solver.backends.planes import inside, planes
-from napari_hmrf.solver.backends.rigid.bodies import Bodies, bodies_of
+from napari_hmrf.solver.backends.rigid.bodies import bodies_of
 from napari_hmrf.solver.coarse_levels import smoother_bounds
 from napari_hmrf.solver.coupling import Box, Coupling
 from napari_hmrf.solver.data_term import DataTerm, PointTerm, packed_axes
@@ -236,7 +236,7 @@ class SlidingModel(HostModel):
         self.bounds = smoother_bounds(material)
         self.iterates = not coupling.nearly_free
         self._held = None
-        self._sites = bodies_of(material.m) if material.rigid else []
+        self._sites = bodies_of(material.m) if material.rigid else None
         most, grid = stiffest(material.m), material.m.shape
         tensors = coupling.tensors() / material.unit
         data = _packed(tensors)
@@ -273,12 +273,6 @@ class SlidingModel(HostModel):
     def mild(self) -> bool:
         """True if the connected tissue is mild; the iteration watches for slow motions."""
         return self._whole.model.mild
-
-    def hold(self, held: HeldPlanes) -> None:
-        """Set the prescribed components of all models and of rigid bodies."""
-        if self._sites and (self._held is None or not np.array_equal(held, self._held)):
-            self.bodies = self._level.bodies = Bodies(self._sites, self.material, held)
-        super().hold(held)
 
     def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
         rest = self.pull(d)

@@ -24,7 +24,7 @@ from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector, paces_of, ro
 from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
 from napari_hmrf.solver.backends.host_model import HostModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
-from napari_hmrf.solver.backends.rigid.bodies import Bodies, BodySites, bodies_of
+from napari_hmrf.solver.backends.rigid.bodies import bodies_of
 from napari_hmrf.solver.coarse_levels import grids, smoother_bounds
 from napari_hmrf.solver.priors.elements import (
     CYCLE_STAND_IN,
@@ -297,7 +297,7 @@ class CpuVolumeModel(HostModel):
         self._held = self.bodies = None
         constants = hexahedra.constants(material.shape)
         m, nu, most = material.m, material.poisson, stiffest(material.m)
-        self._sites: list[BodySites] = bodies_of(m) if material.rigid else []
+        self._sites = bodies_of(m) if material.rigid else None
         if material.rigid:
             m = np.where(np.isinf(m), np.float32(CYCLE_STAND_IN * most), m)
         m, scale, share = loops.only_read(m), 0.125 / most, 1.0
@@ -345,14 +345,6 @@ class CpuVolumeModel(HostModel):
         """Mask of the free components of the finest level."""
         moves: HeldPlanes = self.levels[0].planes(self.levels[0].inverse) > 0
         return moves
-
-    def hold(self, held: HeldPlanes) -> None:
-        """Set the prescribed components on all levels."""
-        before = self._held
-        if self.material.rigid and (before is None or not np.array_equal(held, before)):
-            self.bodies = self.levels[0].bodies = Bodies(self._sites, self.material, held)
-        self.levels[0].checkpoint()
-        super().hold(held)
 
     def _begin(self) -> None:
         self.clear()
