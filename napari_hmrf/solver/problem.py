@@ -342,13 +342,7 @@ def part_of(problem: Problem, sites: tuple[slice, ...]) -> Problem:
     if marks is not None:
         first = np.array([along.start for along in sites])
         scale = marks.scale.resolved(problem.stiffness, problem.spacing)
-        marks = Landmarks(
-            marks.points - first,
-            marks.targets - first,
-            sd=marks.sd,
-            scale=scale,
-            drift=marks.drift,
-        )
+        marks = marks.placed(marks.points - first, scale)
     object.__setattr__(part, "loads", loads)
     object.__setattr__(part, "landmarks", marks)
     return part

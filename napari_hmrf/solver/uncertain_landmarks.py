@@ -204,6 +204,11 @@ class Landmarks:
         """The same landmarks with an observed displacement of 0."""
         return Landmarks(self.points, self.points, sd=self.sd, scale=self.scale, drift=self.drift)
 
+    def placed(self, points: Float64Array, scale: StrainScale) -> Landmarks:
+        """Return landmarks with the same displacements in pixels at other points."""
+        targets = points + (self.targets - self.points)
+        return Landmarks(points, targets, sd=self.sd, scale=scale, drift=self.drift)
+
     def displacement(self, spacing: Sequence[float]) -> Float64Array:
         """Return the observed displacements, shape (n, 2) or (n, 3), in the unit of `spacing`."""
         return np.asarray((self.targets - self.points) * np.asarray(spacing))

@@ -215,13 +215,7 @@ def _landmarks_of_parts(
     # A point on the far side of its element must not count as a point of the next element, which
     # may not exist in this field.
     points = elements + moves + np.minimum(within, 1 - ROUNDING)
-    return Landmarks(
-        points,
-        points + marks.targets - marks.points,
-        sd=marks.sd,
-        scale=marks.scale.resolved(problem.stiffness, problem.spacing),
-        drift=marks.drift,
-    )
+    return marks.placed(points, marks.scale.resolved(problem.stiffness, problem.spacing))
 
 
 def _fill(values: Values, part: _Part, known: Mask) -> None:
