@@ -34,7 +34,7 @@ from napari_hmrf.solver.precision import are_equal
 from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.priors.growth import slabs
 from napari_hmrf.solver.problem import Problem, variant_of
-from napari_hmrf.solver.solution import Solution
+from napari_hmrf.solver.solution import Provenance, Solution
 from napari_hmrf.solver.uncertain_landmarks import interpolated
 from napari_hmrf.solver.volume_memory import check_memory
 from napari_hmrf.solver.warm_start import Initial
@@ -147,25 +147,40 @@ def solve_with_drift(
     if convergence is not None:
         far = sum(abs(amount) * error for amount, error in zip(amounts, cached.errors, strict=True))
         convergence = replace(convergence, error=convergence.error + float(far))
-    run = base.provenance
     return replace(
         base,
         displacement=cached.moved(base.displacement, amounts),
         energy=energy,
         convergence=convergence,
-        provenance=replace(
-            run,
-            seconds=time.perf_counter() - begun - run.preparation_seconds,
-            parameters={
-                **run.parameters,
-                "optimizer": optimizer.parameters,
-                "drift": drift.tolist(),
-            },
-            inputs=problem.digests,
-        ),
+        provenance=provenance_of(base, problem, optimizer, drift.tolist(), begun),
         loads=loads,
         elasticity=replace(base.elasticity, growth=loads.growth),
         notes=(*dict.fromkeys((*joined.notes, *base.notes)), _in_words(drift)),
+    )
+
+
+def provenance_of(
+    base: Solution, problem: Problem, optimizer: Optimizer, drift: Any, begun: float
+) -> Provenance:
+    """Return the provenance of a solution with a drift from that of its last field.
+
+    Parameters
+    ----------
+    base : Solution
+        Field without drift, or with a known one.
+    problem : Problem
+    optimizer : Optimizer
+    drift : list of list of float
+    begun : float
+        Start of the work on the clock `time.perf_counter`.
+    """
+    run = base.provenance
+    parameters = {**run.parameters, "optimizer": optimizer.parameters, "drift": drift}
+    return replace(
+        run,
+        seconds=time.perf_counter() - begun - run.preparation_seconds,
+        parameters=parameters,
+        inputs=problem.digests,
     )
 
 

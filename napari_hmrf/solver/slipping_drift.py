@@ -22,6 +22,7 @@ from napari_hmrf.solver.drift import (
     Solve,
     drift_clauses,
     growth_of,
+    provenance_of,
     solve_with_drift,
     without_drift,
 )
@@ -127,23 +128,15 @@ def _result(
     begun: float,
 ) -> Solution:
     """Return the field with its drift."""
-    convergence, run = slipped.convergence, slipped.provenance
+    convergence = slipped.convergence
     if convergence is not None:
         error = convergence.error + far
         error += 0.0 if found.convergence is None else found.convergence.error
         convergence = replace(convergence, error=error)
+    drift = found.provenance.parameters["drift"]
     return replace(
         slipped,
         convergence=convergence,
-        provenance=replace(
-            run,
-            seconds=time.perf_counter() - begun - run.preparation_seconds,
-            parameters={
-                **run.parameters,
-                "optimizer": optimizer.parameters,
-                "drift": found.provenance.parameters["drift"],
-            },
-            inputs=problem.digests,
-        ),
+        provenance=provenance_of(slipped, problem, optimizer, drift, begun),
         notes=(*slipped.notes, *drift_clauses(found)),
     )

@@ -124,6 +124,8 @@ class Slip:
         #: Refinement of the last solve, with its estimated error.
         self.refinement = self._refinement = new_refinement(model)
         self._soft: tuple[LinearModel, Refinement] | None = None
+        #: Required force of each observation in the last field.
+        self._needed: Float64Array = np.zeros(len(self._at))
 
     def run(self, d: Planes, tolerance: float) -> None:
         """Minimize the energy over `d`, in place."""
