@@ -18,7 +18,7 @@ such elements move as rigid bodies.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import lru_cache
 from itertools import combinations, product
 from typing import Any, NamedTuple
@@ -286,7 +286,9 @@ def direct_solution(
     matrix = block_matrix(problem, prior, locking=locking)
     held = (problem.known if held is None else held).ravel()
     field = np.where(held, problem.observed.ravel(), 0).astype(np.float64)
-    basis, field = rigid_coordinates(problem, matrix.diagonal(), held, field)
+    basis, field = rigid_coordinates(
+        bodies_of(problem, rigid_sites(problem.stiffness)), matrix.diagonal() > 0, held, field
+    )
     right = load_vector(problem, prior) - matrix @ field
     if force is not None:
         right += np.ravel(force)
@@ -296,23 +298,24 @@ def direct_solution(
 
 
 def rigid_coordinates(
-    problem: Problem, diagonal: Array, held: Mask, field: Array
+    bodies: Iterable[tuple[npt.NDArray[np.intp], Array]], moves: Mask, held: Mask, field: Array
 ) -> tuple[sp.csr_array, Array]:
     """Return P and b of all fields d = P v + b that move rigid bodies as such.
 
     Parameters
     ----------
-    problem : Problem
-    diagonal : ndarray, shape (n,)
-        Diagonal of the matrix; components with 0 outside bodies have no equation.
+    bodies : iterable of (ndarray of int, ndarray)
+        Components of each rigid body, and their displacement in its rigid motions, as columns.
+    moves : ndarray of bool, shape (n,)
+        Mask of the components of elements that are not rigid.
     held : ndarray of bool, shape (n,)
         Mask of the prescribed components.
     field : ndarray, shape (n,)
         Displacement of the prescribed components; 0 elsewhere.
     """
     field = field.copy()
-    alone, columns = ~held & (diagonal > 0), []
-    for at, motions in _bodies(problem):
+    alone, columns = ~held & moves, []
+    for at, motions in bodies:
         alone[at] = False
         free, field[at] = free_motions(motions, held[at], field[at])
         rows, cols = np.broadcast_arrays(at[:, None], np.arange(free.shape[1]))
@@ -333,16 +336,19 @@ def rigid_sites(m: npt.NDArray[Any]) -> Mask:
     return sites
 
 
-def _bodies(problem: Problem) -> Iterator[tuple[npt.NDArray[np.intp], Array]]:
+def bodies_of(
+    problem: Problem, rigid: Mask, start: int = 0
+) -> Iterator[tuple[npt.NDArray[np.intp], Array]]:
     """Yield the components of each rigid body, and their displacement in its rigid motions.
 
-    Adjacent sites belong to the same body.
+    Adjacent sites of the mask `rigid` belong to the same body. The number of the first site of the
+    field is `start`.
     """
-    axes, m = problem.stiffness.ndim, problem.stiffness
-    labels, count = ndimage.label(rigid_sites(m), np.ones((3,) * axes))
+    axes = rigid.ndim
+    labels, count = ndimage.label(rigid, np.ones((3,) * axes))
     for number in range(1, count + 1):
         sites = np.argwhere(labels == number)
-        first = axes * np.ravel_multi_index(tuple(sites.T), m.shape)
+        first = axes * (start + np.ravel_multi_index(tuple(sites.T), rigid.shape))
         places = (sites - sites.mean(axis=0)) * problem.spacing / problem.unit
         yield (first[:, None] + np.arange(axes)).ravel(), rigid_motions(places)
 

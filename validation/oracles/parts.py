@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 import scipy.linalg
-import scipy.ndimage
 import scipy.sparse as sp
 import scipy.sparse.linalg as spl
 
@@ -26,12 +25,12 @@ from napari_hmrf.solver.interface_normals import interface_normals
 from napari_hmrf.solver.problem import variant_of
 from validation.oracles.elasticity import (
     at_corners,
-    free_motions,
+    bodies_of,
     grid_matrix,
     growth_load,
     is_plane_stress,
     lame_of,
-    rigid_motions,
+    rigid_coordinates,
     rigid_sites,
 )
 from validation.oracles.posterior import affine_motions, interpolation, with_data
@@ -176,7 +175,10 @@ def _assembled(
         at_points = _at_points(marks.points, owner, count)
         added = added + at_points.T @ sp.diags_array(weights) @ at_points
         pushed = pushed + at_points.T @ (weights * marks.displacement(problem.spacing).ravel())
-    basis, start = _free_motions(problem, own, moves, np.stack(bodies))
+    held = own @ problem.known.ravel().astype(np.float64) > 0
+    start = own @ np.where(problem.known, problem.observed, 0.0).ravel()
+    of_parts = (bodies_of(problem, rigid, part * m.size) for part, rigid in enumerate(bodies))
+    basis, start = rigid_coordinates(itertools.chain(*of_parts), moves, held, start)
     grown = np.concatenate(loads)
     matrix = basis.T @ (elastic + added) @ basis
     right = basis.T @ (grown + pushed - (elastic + added) @ start)
@@ -189,41 +191,6 @@ def _assembled(
         right = np.concatenate([right, affine.T @ (elastic @ start - grown)])
         basis = sp.hstack([basis, sp.csr_array(affine.shape)], format="csr")
     return _Parts(sp.csr_array(matrix), right, sp.csr_array(basis), start, own, problem)
-
-
-def _free_motions(
-    problem: Problem, own: sp.csr_array, moves: Flags, bodies: Flags
-) -> tuple[sp.csr_array, Array]:
-    """Return the motions that are not prescribed, as columns, and the prescribed displacement.
-
-    Parameters
-    ----------
-    problem : Problem
-    own : csr_array
-        As for `_Parts`.
-    moves : ndarray of bool, shape (n,)
-        Mask of the components of elements.
-    bodies : ndarray of bool, shape (parts, H, W) or (parts, D, H, W)
-        Mask of the corners of rigid elements in the field of each part.
-    """
-    axes = problem.stiffness.ndim
-    held = own @ problem.known.ravel().astype(np.float64) > 0
-    start = own @ np.where(problem.known, problem.observed, 0.0).ravel()
-    alone, columns = moves & ~held, []
-    for part, rigid in enumerate(bodies):
-        labels, count = scipy.ndimage.label(rigid, np.ones((3,) * axes))
-        for body in range(1, count + 1):
-            sites = np.argwhere(labels == body)
-            flat = part * rigid.size + np.ravel_multi_index(tuple(sites.T), rigid.shape)
-            at = (axes * flat[:, None] + np.arange(axes)).ravel()
-            motions = rigid_motions((sites - sites.mean(axis=0)) * problem.spacing / problem.unit)
-            free, start[at] = free_motions(motions, held[at], start[at])
-            alone[at] = False
-            rows, cols = np.broadcast_arrays(at[:, None], np.arange(free.shape[1]))
-            entries = free.ravel(), (rows.ravel(), cols.ravel())
-            columns.append(sp.csc_array(entries, shape=(start.size, free.shape[1])))
-    columns.append(sp.eye_array(start.size, format="csc")[:, np.flatnonzero(alone)])
-    return sp.hstack(columns, format="csr"), start
 
 
 def _at_points(points: Array, owner: Sites, count: int) -> sp.csr_array:

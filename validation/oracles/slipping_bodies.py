@@ -25,9 +25,11 @@ import scipy.optimize
 from napari_hmrf import ElasticPrior, Problem
 from validation.oracles.elasticity import (
     block_matrix,
+    bodies_of,
     growth_load,
     lame_parameters,
     rigid_coordinates,
+    rigid_sites,
 )
 from validation.oracles.posterior import affine_motions, with_data
 
@@ -87,7 +89,8 @@ def slipped(problem: Problem, prior: ElasticPrior) -> Slipped:
     limits = limits.ravel()
     known, y = problem.known.ravel(), problem.observed.ravel().astype(np.float64) / unit
     fixed = known & np.isinf(limits)
-    basis, start = rigid_coordinates(problem, matrix.diagonal(), fixed, np.where(fixed, y, 0.0))
+    bodies, moves = bodies_of(problem, rigid_sites(problem.stiffness)), matrix.diagonal() > 0
+    basis, start = rigid_coordinates(bodies, moves, fixed, np.where(fixed, y, 0.0))
     at = np.flatnonzero(known & ~fixed)
     limit, dense = limits[at], basis.toarray()
     # Unit columns, so that rigid motions and single components have the same scale.
