@@ -24,6 +24,7 @@ help:
 	@echo "make test         run the tests"
 	@echo "make format       format the code"
 	@echo "make lint types   look for mistakes in style, imports and dependencies, and in types"
+	@echo "make structure    print sizes, compiled loops, models and caches; check which module imports which"
 	@echo "make docs         build the site of the documentation: docs/_build/index.html"
 	@echo "make campaigns    run the long tests: further cases, examples, notebooks, code in the documentation"
 	@echo "make wheel        build the wheel, and try it with the oldest and the newest napari that it allows"
@@ -77,6 +78,10 @@ lint: setup
 	@$(VENV)/bin/lint-imports --no-logo --no-cache
 	@$(RUN) -m deptry napari_hmrf
 	@! git grep -nE '/[h]ome/\w|/[U]sers/\w|/[r]oot\b|[A-Z]:\\[U]sers|/[w]ork/\w|/[t]mp/\w'
+
+structure: setup
+	@$(VENV)/bin/lint-imports --no-logo --no-cache
+	@$(RUN) scripts/structure.py
 
 types: setup
 	@$(RUN) -m mypy
