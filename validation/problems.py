@@ -19,6 +19,7 @@ import numpy.typing as npt
 import scipy.ndimage as ndi
 
 from napari_hmrf import ElasticPrior, NeoHookeanPrior, Problem, SeilerPrior
+from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.neighbours import around_sites, in_elements, sites_of_elements
 from napari_hmrf.landmarks import Landmarks, StrainScale
 from napari_hmrf.loads import Loads, cavity, growth, weight
@@ -32,8 +33,23 @@ from validation.oracles.large_motion import displaced_corners, smallest_jacobian
 Labels = npt.NDArray[np.int32]
 Prior = ElasticPrior | SeilerPrior
 
+#: Inputs of elastic tissue, each of which combines with each other.
+INPUTS = (
+    "rigid",
+    "sliding",
+    "slip",
+    "precision",
+    "landmarks",
+    "drift",
+    "growth",
+    "forces",
+    "cavity",
+    "followers",
+)
 #: Largest side of an image and of a volume, and range of sides with cavities or parts, in sites.
 LARGEST, SIDES_OF_PARTS = {2: 64, 3: 13}, {2: (4, 17), 3: (3, 7)}
+#: Range of sides of problems that combine inputs, whose references take longest.
+SIDES_OF_COMBINATIONS = {2: (4, 13), 3: (3, 6)}
 #: Number of decades of the largest contrast of stiffness, and of that with cavities or parts.
 DECADES, DECADES_OF_PARTS = {2: 7.0, 3: 6.0}, 3.0
 # Range of decades of the unit of stiffness; units and pixel sizes are arbitrary.
@@ -44,6 +60,7 @@ _IMAGES, _VOLUMES, _PARTS = (0.3, 0.3, 0.2, 0.2), (0.0, 0.65, 0.35, 0.0), (0.5, 
 # Kinds of void, their shares, and shares with cavities or parts, where specks make pieces of parts
 # that touch at corners.
 _VOIDS = ("none", "holes", "around", "specks", "gaps")
+_SPECKS = (0.0, 0.0, 0.0, 1.0, 0.0)
 _USUAL_VOIDS, _VOIDS_OF_PARTS = (0.55, 0.13, 0.14, 0.08, 0.1), (0.4, 0.1, 0.05, 0.35, 0.1)
 # Least Jacobian of a map from which targets of large motion are sampled.
 _LEAST = 0.2
@@ -151,14 +168,24 @@ class RandomProblem:
         """Problem as accepted by the package."""
         loads = self.loads
         if self.contents is not None:
-            loads = self.contents.loads(self.arguments["stiffness"], self.arguments["spacing"])
+            own = self.contents.loads(self.arguments["stiffness"], self.arguments["spacing"])
+            loads = own if loads is None else own + loads
         return Problem(**self.arguments, loads=loads)
 
     def scaled(self, share: float) -> RandomProblem:
         """Return the problem with all motion and all loads multiplied by a number."""
         arguments = self.arguments | {"observed": share * self.arguments["observed"]}
+        marks, loads = self.arguments.get("landmarks"), self.loads
+        if marks is not None:
+            targets = marks.points + share * (marks.targets - marks.points)
+            arguments["landmarks"] = Landmarks(
+                marks.points, targets, sd=marks.sd, scale=marks.scale, drift=marks.drift
+            )
         contents = None if self.contents is None else self.contents.scaled(share)
-        return replace(self, arguments=arguments, contents=contents)
+        if loads is not None:
+            parts = (None if each is None else share * each for each in (loads.growth, loads.force))
+            loads = Loads(**dict(zip(("growth", "force"), parts, strict=True)))
+        return replace(self, arguments=arguments, contents=contents, loads=loads)
 
     def __str__(self) -> str:
         """Return a description in one line."""
@@ -194,65 +221,114 @@ def random_parts(dice: Dice, axes: int, has_cavity: bool, has_parts: bool) -> Ra
             return made
 
 
-def random_bodies(dice: Dice, axes: int) -> RandomProblem:
-    """Return a small problem with rigid bodies and observations that may slip, on them and beside.
-
-    Some problems have growth or forces. The observations of some bodies agree with a rigid motion.
-    """
+def random_combination(dice: Dice, axes: int, inputs: frozenset[str]) -> RandomProblem:
+    """Return a small problem with some of the inputs `INPUTS` of elastic tissue."""
     while True:
-        shape = tuple(map(int, dice.integers(*SIDES_OF_PARTS[axes], axes)))
-        made = _drawn(dice, shape, DECADES_OF_PARTS, _PARTS)
+        shape = tuple(map(int, dice.integers(*SIDES_OF_COMBINATIONS[axes], axes)))
+        has = {each: each in inputs for each in INPUTS}
+        made = _drawn(
+            dice,
+            shape,
+            DECADES_OF_PARTS,
+            _PARTS,
+            has["cavity"],
+            has["sliding"],
+            has_followers=has["followers"],
+        )
         m, y, c = (made.arguments[name].copy() for name in ("stiffness", "observed", "confidence"))
-        rigid = smooth_noise(dice, shape, dice.uniform(0.6, 2)) > dice.uniform(0.7, 0.95)
-        soft = m.max(where=np.isfinite(m), initial=0.0)
-        m[rigid & (m > 0)] = np.inf
-        labels, count = ndi.label(rigid_sites(m), np.ones((3,) * axes))
-        if not count:
-            continue
-        penalty = None if dice.random() < 0.7 else float(10 ** dice.uniform(-2, 1))
-        if c.max() == 1 and dice.random() < 0.8:
-            c = np.where(c > 0, dice.choice([0.02, 0.2, 0.5, 0.9, 1.0], c.shape), 0)
-        unit = made.problem.unit
-        for number in range(1, count + 1):
-            body = labels == number
-            seen = (c > 0) & body[..., None]
-            kind = dice.choice(["free", "slips", "one certain site"], p=[0.3, 0.5, 0.2])
-            if kind == "free":
-                c[seen] = 0
+        spacing, soft, prior = made.arguments["spacing"], m.max(), made.prior
+        unit = math.prod(spacing) ** (1 / axes)
+        if has["slip"]:
+            prior = replace(prior, penalty=_penalty(dice))
+            if c.max() == 1 and dice.random() < 0.8:
+                c = np.where(c > 0, dice.choice([0.02, 0.2, 0.5, 0.9, 1.0], c.shape), 0)
+        else:
+            c = np.where(c > 0, 1.0, 0.0)
+        if has["rigid"]:
+            bodies = _with_bodies(dice, m)
+            if not bodies.any():
                 continue
-            c[seen] = np.minimum(c[seen], dice.choice([0.9, 0.05]))
-            if dice.random() < 0.3:  # observe more of the body
-                c[body & (dice.random(shape) < 0.5)] = float(dice.choice([0.05, 0.3, 0.7]))
-            if kind == "one certain site":
-                c[tuple(dice.choice(np.argwhere(body)))] = 1
-            if dice.random() < 0.5:
-                turn = dice.normal(size=(axes, axes)) * 0.2 * (dice.random() < 0.5)
-                places = np.moveaxis(offsets(shape, np.argwhere(body).mean(axis=0)), 0, -1)
-                moved = places * made.problem.spacing @ (turn - turn.T)
-                y[body] = (moved + dice.normal(size=axes) * unit)[body]
-        if not c.any():
+            _observe_bodies(dice, bodies, y, c, spacing, may_slip=has["slip"])
+        if has["followers"]:
+            orphans = (m > 0) & ~sites_of_elements(m > 0)
+            if not orphans.any():
+                continue
+            # The reference does not know which part's sites they follow, and certain observations
+            # that they pass on to a body would change its shape.
+            if has["sliding"] or (has["rigid"] and not has["slip"]):
+                c[orphans] = 0
+        if not c.any() and not inputs & {"precision", "landmarks", "drift"}:
             continue
-        loads = None
-        if dice.random() < 0.3:
-            size = soft * unit ** (axes - 1)
-            force = 0.02 * size * dice.normal(size=y.shape) * (m > 0)[..., None]
-            loads = Loads(force=force * (dice.random(shape) < 0.2)[..., None])
-        if dice.random() < 0.3:
-            own = growth(0.1 * dice.random(shape) * np.isfinite(m))
-            loads = own if loads is None else loads + own
-        arguments = made.arguments | {"stiffness": m, "observed": y, "confidence": c}
-        prior = replace(made.prior, penalty=penalty)
-        kinds = made.kinds | {"bodies": str(count), "loads": "none" if loads is None else "some"}
+        given = {"stiffness": m, "observed": y, "confidence": c}
+        if has["precision"]:
+            strength = soft * unit ** (axes - 2) * 10 ** dice.uniform(-2, 2)
+            precision = random_tensors(dice, shape, axes, strength, dice.choice([0.1, 0.5]))
+            precision[~sites_of_elements(m > 0)] = 0
+            given["precision"] = precision
         elements = np.argwhere(in_elements(m))
-        kinds["drift"] = "none"
-        if len(elements) > 4 and dice.random() < 0.25:
+        if has["landmarks"] or has["drift"]:
+            if len(elements) <= 4:
+                continue
             points = dice.choice(elements, 12) + dice.random((12, axes))
             strain, noise = dice.normal(size=(axes, axes)), dice.normal(size=points.shape)
             targets = points + points @ (0.05 * strain) + 0.2 * noise
             sd = 10 ** dice.uniform(-2, 0.5)
-            arguments["landmarks"] = Landmarks(points, targets, sd=sd, drift=True)
-            kinds["drift"] = "some"
-        return replace(made, kinds=kinds, arguments=arguments, prior=prior, loads=loads)
+            given["landmarks"] = Landmarks(points, targets, sd=sd, drift=has["drift"])
+        loads = None
+        if has["forces"]:
+            size = soft * unit ** (axes - 1)
+            force = 0.02 * size * dice.normal(size=y.shape) * sites_of_elements(m > 0)[..., None]
+            loads = Loads(force=force * (dice.random(shape) < 0.2)[..., None])
+        if has["growth"]:
+            own = growth(0.1 * dice.random(shape) * np.isfinite(m))
+            loads = own if loads is None else loads + own
+        kinds = {"inputs": ", ".join(each for each in INPUTS if has[each])} | made.kinds
+        drawn = replace(
+            made, kinds=kinds, arguments=made.arguments | given, prior=prior, loads=loads
+        )
+        try:
+            drawn.problem  # noqa: B018  it is made once, and kept
+        except ProblemError:
+            continue  # some displacements are too large
+        return drawn
+
+
+def _penalty(dice: Dice) -> float | None:
+    return None if dice.random() < 0.7 else float(10 ** dice.uniform(-2, 1))
+
+
+def _with_bodies(dice: Dice, m: npt.NDArray[np.float32]) -> Labels:
+    """Make some tissue rigid, in place, and return the numbers of the bodies; 0 elsewhere."""
+    rigid = smooth_noise(dice, m.shape, dice.uniform(0.6, 2)) > dice.uniform(0.7, 0.95)
+    m[rigid & (m > 0)] = np.inf
+    return np.asarray(ndi.label(rigid_sites(m), np.ones((3,) * m.ndim))[0])
+
+
+def _observe_bodies(
+    dice: Dice, bodies: Labels, y: Array, c: Array, spacing: tuple[float, ...], *, may_slip: bool
+) -> None:
+    """Draw the observations of rigid bodies, in place; at most one site of each is certain.
+
+    Where observations may slip, those of some bodies agree with a rigid motion.
+    """
+    shape, axes = bodies.shape, bodies.ndim
+    for number in range(1, int(bodies.max()) + 1):
+        body = bodies == number
+        seen = (c > 0) & body[..., None]
+        kind = dice.choice(["free", "slips", "one certain site"], p=[0.3, 0.5, 0.2])
+        if kind == "free" or not may_slip:
+            c[seen] = 0
+        else:
+            c[seen] = np.minimum(c[seen], dice.choice([0.9, 0.05]))
+            if dice.random() < 0.3:  # observe more of the body
+                c[body & (dice.random(shape) < 0.5)] = float(dice.choice([0.05, 0.3, 0.7]))
+        if kind == "one certain site":
+            c[tuple(dice.choice(np.argwhere(body)))] = 1
+        if may_slip and kind != "free" and dice.random() < 0.5:
+            turn = dice.normal(size=(axes, axes)) * 0.2 * (dice.random() < 0.5)
+            places = np.moveaxis(offsets(shape, np.argwhere(body).mean(axis=0)), 0, -1)
+            moved = places * spacing @ (turn - turn.T)
+            y[body] = (moved + dice.normal(size=axes) * math.prod(spacing) ** (1 / axes))[body]
 
 
 def _drawn(
@@ -262,13 +338,15 @@ def _drawn(
     priors: tuple[float, ...],
     has_cavity: bool = False,
     has_parts: bool = False,
+    has_followers: bool = False,
 ) -> RandomProblem:
-    """Return a problem, which may lack parts or a cavity."""
+    """Return a problem, which may lack parts, a cavity or sites that follow their neighbours."""
     axes, spacing = len(shape), _spacing(dice, len(shape))
     unit = math.prod(spacing) ** (1 / axes)
     tissue, relative = _stiffness(dice, shape, decades)
-    is_small = has_cavity or has_parts
-    void, empty = _void(dice, shape, _VOIDS_OF_PARTS if is_small else _USUAL_VOIDS)
+    is_small = decades == DECADES_OF_PARTS
+    voids = _SPECKS if has_followers else _VOIDS_OF_PARTS if is_small else _USUAL_VOIDS
+    void, empty = _void(dice, shape, voids)
     m = np.where(empty, 0.0, relative * 10 ** dice.uniform(*_UNITS)).astype(np.float32)
     contents, labels = None, None
     if has_cavity:
@@ -281,7 +359,9 @@ def _drawn(
     pieces = _pieces(m > 0, labels) if is_small else ndi.label(m > 0)[0]
     # In small problems, every piece of a part has sites that hold it, so that most are unique.
     seen, observed = _observed(dice, m > 0, pieces, 3 if is_small else axes)
-    if is_small:  # elsewhere, sites follow their tissue, and a dense system has no equation
+    if (
+        is_small and not has_followers
+    ):  # elsewhere, sites follow their tissue, and a dense system has no equation
         observed &= (pieces > 0)[..., None]
     moved, y = _displacement(dice, shape, observed.any(axis=-1))
     if labels is not None and dice.random() < 0.5:

@@ -11,7 +11,7 @@ from napari_hmrf.loads import Loads, reactions
 from napari_hmrf.solver import drift
 from napari_hmrf.solver.live_solver import LiveSolver
 from validation.oracles.posterior import posterior_mean_with_drift
-from validation.oracles.slipping_bodies import slipped
+from validation.oracles.slipping import slipped
 
 GRIDS = [((24, 18), (1, 2)), ((8, 9, 10), (2, 1, 1.5))]
 SHEAR = np.array([(0.06, 0.02), (0.02, -0.04)])

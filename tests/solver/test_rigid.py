@@ -9,7 +9,7 @@ from napari_hmrf.loads import reactions
 from napari_hmrf.solver.backends.rigid.bodies import rigid_sites
 from tests.support.opengl import require_opengl
 from validation.oracles.elasticity import direct_solution
-from validation.oracles.slipping_bodies import slipped
+from validation.oracles.slipping import slipped
 
 N = 49
 PRIOR = ElasticPrior(0.3)

@@ -8,6 +8,7 @@ module              reference
 `posterior`         data, landmarks and drift, by sparse and dense algebra
 `paper`             cliques, energies and fields of Seiler et al., and their algorithm move by move
 `exact`             fields of images in 32 digits, with observations that slip, for `make trust`
+`slipping`          observations that may slip beside all other inputs, by dense algebra
 `parts`             cavities and sliding parts, by direct solutions
 `calculix`          decks and fields of CalculiX, another program
 ==================  ================================================================================

@@ -110,7 +110,7 @@ def forces_of(contents: Contents, m: npt.NDArray[Any], spacing: tuple[float, ...
     return force
 
 
-class _Parts(NamedTuple):
+class Parts(NamedTuple):
     """Linear system of the fields of all parts.
 
     Attributes
@@ -140,10 +140,13 @@ class _Parts(NamedTuple):
         return np.asarray(self.own.T @ fields).reshape(self.problem.observed.shape)
 
 
-def _assembled(
+def assembled(
     problem: Problem, prior: ElasticPrior, force: Array | None, tilt: float, number: int
-) -> _Parts:
-    """Return the system of all parts; for the parameters see `dense_solution`."""
+) -> Parts:
+    """Return the system of all parts; for the parameters see `dense_solution`.
+
+    Observations that may slip are left out: they are neither prescribed nor pull.
+    """
     m, axes = problem.stiffness.astype(np.float64), problem.stiffness.ndim
     labels = np.zeros(m.shape, np.int32) if problem.sliding is None else problem.sliding.labels
     owner = np.full(m.shape, -1)
@@ -175,8 +178,9 @@ def _assembled(
         at_points = _at_points(marks.points, owner, count)
         added = added + at_points.T @ sp.diags_array(weights) @ at_points
         pushed = pushed + at_points.T @ (weights * marks.displacement(problem.spacing).ravel())
-    held = own @ problem.known.ravel().astype(np.float64) > 0
-    start = own @ np.where(problem.known, problem.observed, 0.0).ravel()
+    fixed = prescribed(problem, prior)
+    held = own @ fixed.ravel().astype(np.float64) > 0
+    start = own @ np.where(fixed, problem.observed, 0.0).ravel()
     of_parts = (bodies_of(problem, rigid, part * m.size) for part, rigid in enumerate(bodies))
     basis, start = rigid_coordinates(itertools.chain(*of_parts), moves, held, start)
     grown = np.concatenate(loads)
@@ -190,7 +194,13 @@ def _assembled(
         matrix = sp.block_array(blocks, format="csr")
         right = np.concatenate([right, affine.T @ (elastic @ start - grown)])
         basis = sp.hstack([basis, sp.csr_array(affine.shape)], format="csr")
-    return _Parts(sp.csr_array(matrix), right, sp.csr_array(basis), start, own, problem)
+    return Parts(sp.csr_array(matrix), right, sp.csr_array(basis), start, own, problem)
+
+
+def prescribed(problem: Problem, prior: ElasticPrior) -> Flags:
+    """Return the mask of the observed components that cannot slip."""
+    limit = prior.limit(problem)
+    return problem.known if limit is None else problem.known & np.isinf(limit)
 
 
 def _at_points(points: Array, owner: Sites, count: int) -> sp.csr_array:
@@ -237,7 +247,7 @@ def sliding_field(problem: Problem, prior: ElasticPrior) -> Array:
     ndarray, shape (H, W, 2) or (D, H, W, 3)
         Displacement, in the unit of ``problem.spacing``; 0 in void.
     """
-    system = _assembled(problem, prior, None, 0.0, 0)
+    system = assembled(problem, prior, None, 0.0, 0)
     return system.image(spl.spsolve(system.matrix.tocsc(), system.right))
 
 
@@ -265,7 +275,7 @@ def dense_solution(
         double precision.
     least : float
     """
-    system = _assembled(problem, prior, force, tilt, number)
+    system = assembled(problem, prior, force, tilt, number)
     if not len(system.right):
         return system.image(system.right), 1.0
     inner = system.matrix.toarray()

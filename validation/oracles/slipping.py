@@ -1,9 +1,7 @@
-"""Rigid bodies and drifts beside observations that may slip: exact fields from dense matrices.
+"""Observations that may slip, beside all other inputs: exact fields from dense matrices.
 
-The displacement is d = P v + b, where v contains the rigid motions of the bodies and the components
-of all other sites, and b is the displacement prescribed exactly. `elasticity` adds the matrix A and
-P, and `posterior` the matrix of the data. The strains of a drift are further unknowns. With H = P^T
-A P, a dense interior-point method minimizes
+`parts` assembles the energy 1/2 v^T H v - h^T v of the free components, rigid motions and strains
+of a drift v, where d = P v + b. A dense interior-point method minimizes
 
     1/2 v^T H v - h^T v + sum(p |y - b - P v|)
 
@@ -23,15 +21,7 @@ import scipy.linalg
 import scipy.optimize
 
 from napari_hmrf import ElasticPrior, Problem
-from validation.oracles.elasticity import (
-    block_matrix,
-    bodies_of,
-    growth_load,
-    lame_parameters,
-    rigid_coordinates,
-    rigid_sites,
-)
-from validation.oracles.posterior import affine_motions, with_data
+from validation.oracles.parts import Parts, assembled, prescribed
 
 Array = npt.NDArray[np.float64]
 
@@ -41,6 +31,8 @@ _STEPS, _GAP = 80, 1e-20
 _SLACK, _UNBALANCED = 1e-8, 1e-7
 # Product from which states are tried, relative to the limit and the distances.
 _PROMISING = 1e-5
+# Share of a unit motion in an observation that is rounding error.
+_ABSENT = 1e-12
 # Singular value of the rows of held observations, relative to the largest, that is rounding error.
 _RANK = 1e-10
 # Energy below which a motion is free, relative to the largest eigenvalue.
@@ -62,6 +54,10 @@ class Slipped(NamedTuple):
         Number of motions by which other fields of the same energy differ.
     is_free : bool
         True if there is a motion without energy that no observation prevents.
+    least_strain : float
+        Least principal strain of the drift; 0 without a drift.
+    strain_sd : float
+        Standard deviation of the least certain strain of the drift, if no observation slips.
     energy : callable
         Function that returns the energy of a displacement in pixels.
     """
@@ -70,62 +66,78 @@ class Slipped(NamedTuple):
     is_proven: bool
     motions: int
     is_free: bool
+    least_strain: float
+    strain_sd: float
     energy: Callable[[Array], float]
 
 
-def slipped(problem: Problem, prior: ElasticPrior) -> Slipped:
-    """Return the field of least energy of a small problem, in pixels."""
-    unit = problem.unit
-    force_unit = prior.force_unit(problem)
-    matrix = block_matrix(problem, prior).tocsr()
-    grown = growth_load(problem, prior, *lame_parameters(problem, prior))
-    data, pulled = with_data(problem, 0 * matrix, np.zeros(len(grown)))
-    if problem.loads is not None and problem.loads.force is not None:
-        pulled = pulled + problem.loads.force.astype(np.float64).ravel()
-    matrix, data = matrix * (unit / force_unit), data * (unit / force_unit)
-    grown, pulled = grown / force_unit, pulled / force_unit
+def slipped(
+    problem: Problem,
+    prior: ElasticPrior,
+    force: Array | None = None,
+    tilt: float = 0.0,
+    number: int = 0,
+) -> Slipped:
+    """Return the field of least energy of a small problem, in pixels.
+
+    The parameters `force`, `tilt` and `number` are those of `parts.dense_solution`.
+    """
+    unit, scale = problem.unit, prior.force_unit(problem)
+    parts = assembled(problem, prior, force, tilt, number)
+    image = parts.own.T @ parts.basis.toarray()
+    # Unit columns, so that rigid motions, strains and single components have the same scale.
+    fields = parts.basis.toarray()
+    sizes = np.linalg.norm(fields, axis=0) + (fields == 0).all(axis=0)
+    image /= sizes
+    hessian = parts.matrix.toarray() * (unit / scale) / sizes / sizes[:, None]
+    load = parts.right / (scale * sizes)
+    start = parts.own.T @ parts.start / unit
+    slips = problem.known & ~prescribed(problem, prior)
     limits = prior.limit(problem)
-    limits = np.full(problem.observed.shape, np.inf) if limits is None else limits
-    limits = limits.ravel()
-    known, y = problem.known.ravel(), problem.observed.ravel().astype(np.float64) / unit
-    fixed = known & np.isinf(limits)
-    bodies, moves = bodies_of(problem, rigid_sites(problem.stiffness)), matrix.diagonal() > 0
-    basis, start = rigid_coordinates(bodies, moves, fixed, np.where(fixed, y, 0.0))
-    at = np.flatnonzero(known & ~fixed)
-    limit, dense = limits[at], basis.toarray()
-    # Unit columns, so that rigid motions and single components have the same scale.
-    dense /= np.linalg.norm(dense, axis=0)
-    affine = np.zeros((dense.shape[0], 0))
-    if problem.landmarks is not None and problem.landmarks.drift:
-        affine = affine_motions(problem) / unit
-    count = affine.shape[1]
-    strained = np.hstack([dense, -affine])
-    dense = np.hstack([dense, 0 * affine])
-    rows = np.where(np.abs(dense[at]) < 1e-12, 0.0, dense[at])
-    hessian = strained.T @ (matrix @ strained) + dense.T @ (data @ dense)
-    load = strained.T @ (grown - matrix @ start) + dense.T @ (pulled - data @ start)
+    at = np.flatnonzero(slips.ravel() & (parts.own.T @ np.ones(parts.own.shape[0]) > 0))
+    limit = np.zeros(0) if limits is None else limits.ravel()[at]
+    y = problem.observed.ravel().astype(np.float64) / unit
     off = y[at] - start[at]
+    rows = np.where(np.abs(image[at]) < _ABSENT, 0.0, image[at])
 
     def energy(field: Array) -> float:
-        d = field.ravel()
-        bend, pull = affine.T @ (matrix @ affine), affine.T @ (matrix @ d - grown)
-        strain = d - affine @ np.linalg.lstsq(bend, pull)[0] if count else d
-        own = strain @ (matrix @ strain) / 2 - grown @ strain
-        own += d @ (data @ d) / 2 - pulled @ d
-        return float(own + (limit * np.abs(y[at] - d[at])).sum())
+        """Return the least energy of all fields of the parts that move the image in this way."""
+        v = np.linalg.lstsq(image, field.ravel() - start)[0]
+        free = scipy.linalg.null_space(image, rcond=_RANK)
+        bend = free.T @ hessian @ free
+        v = v + free @ np.linalg.lstsq(bend, free.T @ (load - hessian @ v))[0]
+        return float(v @ (hessian @ v) / 2 - load @ v + (limit * np.abs(off - rows @ v)).sum())
 
     system = _System(hessian, load, rows, off, limit)
     best = None
-    for slips in system.states():
-        found = system.solved(slips)
+    for states in system.states():
+        found = system.solved(states)
         best = found if best is None or found.is_proven else best
         if found.is_proven:
             break
     free = system.motions(rows)
-    if best is None:
-        return Slipped(start.reshape(problem.observed.shape), False, free, free > 0, energy)
-    field = (start + dense @ best.v).reshape(problem.observed.shape)
-    return Slipped(field, best.is_proven, best.motions, free > 0, energy)
+    v = np.zeros(len(load)) if best is None else best.v
+    field = (start + image @ v).reshape(problem.observed.shape)
+    is_proven, motions = (False, free) if best is None else (best.is_proven, best.motions)
+    least_strain, strain_sd = 0.0, 0.0
+    if problem.landmarks is not None and problem.landmarks.drift:
+        upper = np.triu_indices(len(problem.shape))
+        strain = np.zeros((len(problem.shape),) * 2)
+        strain[upper] = strain.T[upper] = (v * unit / sizes)[-len(upper[0]) :]
+        least_strain = float(np.linalg.eigvalsh(strain)[0])
+        strain_sd = _strain_sd(parts, len(upper[0]))
+    return Slipped(field, is_proven, motions, free > 0, least_strain, strain_sd, energy)
+
+
+def _strain_sd(parts: Parts, count: int) -> float:
+    """Return the standard deviation of the least certain of `count` strains of a drift."""
+    problem = parts.problem
+    assert problem.landmarks is not None
+    energy = problem.landmarks.scale.energy(problem.stiffness, problem.spacing)
+    whole = parts.matrix.toarray()
+    beside, own = whole[:-count, -count:], whole[-count:, -count:]
+    least = np.linalg.eigvalsh(own - beside.T @ np.linalg.lstsq(whole[:-count, :-count], beside)[0])
+    return float(np.sqrt(energy / least[0])) if least[0] > 0 else np.inf
 
 
 class _Solved(NamedTuple):
