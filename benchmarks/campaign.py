@@ -77,6 +77,8 @@ _ROUNDING = 2.0**-53
 _TOO_MUCH = 0.1
 # Rounding of values that are stored in single precision, in pixels, for targets of large motion.
 _ROUNDED, _ROUNDED_TARGETS = 1e-6, 1e-5
+# Rounding of a field that consists of several, as with a drift, in pixels.
+_ROUNDED_FIELD = 1e-5
 # Largest error of a problem with a cavity or parts, and largest motion before it is scaled down,
 # in pixels.
 _LARGEST, _MOTION = 0.01, 4.0
@@ -388,7 +390,7 @@ def judge_combination(seed: int, number: int, backend: str = "cpu") -> Iterator[
         compared = drawn.problem.tissue
     error = float(np.abs(moved - exact.field)[compared].max(initial=0.0))
     size = max(1.0, float(np.abs(exact.field).max()))
-    outcome = "right" if error <= of.error + _ROUNDED * size else "reported"
+    outcome = "right" if error <= of.error + _ROUNDED_FIELD * size else "reported"
     if outcome == "reported" and exact.motions:
         least = exact.energy(exact.field)
         same = abs(exact.energy(moved) - least) <= _ROUNDED * max(1.0, abs(least))

@@ -249,6 +249,8 @@ def random_combination(dice: Dice, axes: int, inputs: frozenset[str]) -> RandomP
             if not bodies.any():
                 continue
             _observe_bodies(dice, bodies, y, c, spacing, may_slip=has["slip"])
+        if not in_elements(m).any():
+            continue
         if has["followers"]:
             orphans = (m > 0) & ~sites_of_elements(m > 0)
             if not orphans.any():

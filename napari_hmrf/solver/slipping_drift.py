@@ -17,6 +17,7 @@ import numpy.typing as npt
 
 from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.field.neighbours import sites_of_elements
+from napari_hmrf.solver.connected import connected
 from napari_hmrf.solver.drift import (
     Progress,
     Solve,
@@ -37,6 +38,8 @@ from napari_hmrf.solver.warm_start import Initial
 Float64Array = npt.NDArray[np.float64]
 # Share of the tolerance for each of the two fields that are compared, and for their difference.
 _SHARE, _AGREE = 0.3, 0.4
+# Factor on the tolerance if the same observations slip as with the last drift, and least factor.
+_TIGHTER, _TIGHTEST = 0.3, 1e-3
 # Largest number of drifts, and of halved steps to each of them.
 _MOST_DRIFTS, _MOST_HALVINGS = 30, 20
 # Relative decrease of the energy that is rounding error.
@@ -86,9 +89,16 @@ def solve_with_slipping_drift(
     # Other tissue follows the tissue near it, and does so differently if it is certain.
     of_elements = sites_of_elements(problem.tissue)
     plain, drift = without_drift(problem), np.zeros((len(problem.shape),) * 2)
-    slipped = solve_for(drift, initial)
+    slipped, known = solve_for(drift, initial), None
+    joined = connected(problem, prior).problem
     for _ in range(_MOST_DRIFTS):
-        states = _with_states(problem, prior, slipped)
+        states = _with_states(joined, prior, slipped)
+        is_same = known is not None and np.array_equal(states.known, known)
+        if is_same and isinstance(schedule, Multigrid):
+            # The same observations slip, so only the errors of the fields keep them apart.
+            tighter = max(_TIGHTER * schedule.tolerance, _TIGHTEST * tolerance)
+            schedule = replace(schedule, tolerance=tighter)
+        known = states.known
         found = solve_with_drift(states, exact, schedule, progress, None, solve)
         step = np.array(found.provenance.parameters["drift"]) - drift
         least = float(slipped.energy[-1])
@@ -111,11 +121,15 @@ def solve_with_slipping_drift(
 
 
 def _with_states(problem: Problem, prior: ElasticPrior, slipped: Solution) -> Problem:
-    """Return the problem in which slipping observations are forces and the others are certain."""
-    force = slip_forces(problem, prior, slipped.displacement)
+    """Return the problem in which slipping observations are forces and the others are certain.
+
+    Observations of sites in no element have moved to others, which take their places.
+    """
+    known = problem.known & sites_of_elements(problem.tissue)[..., None]
+    force = np.where(known, slip_forces(problem, prior, slipped.displacement), 0.0)
     pulls = Loads(force=force * prior.force_unit(problem), spacing=problem.spacing)
     loads = pulls if problem.loads is None else problem.loads + pulls
-    known = problem.known & (force == 0)
+    known = known & (force == 0)
     return variant_of(problem, known=known, confidence=known.astype(np.float32), loads=loads)
 
 

@@ -6,7 +6,7 @@ import pytest
 from napari_hmrf import ElasticPrior, Multigrid, Problem, ProblemError, SeilerPrior, solve
 from napari_hmrf.landmarks import Landmarks
 from napari_hmrf.loads import reactions
-from napari_hmrf.solver.backends.rigid.bodies import rigid_sites
+from napari_hmrf.solver.backends.rigid.bodies import Bodies, bodies_of, rigid_sites
 from tests.support.opengl import require_opengl
 from validation.oracles.elasticity import direct_solution
 from validation.oracles.slipping import slipped
@@ -225,9 +225,9 @@ def test_uncertain_observations_of_a_bone_pull_with_their_total_force(shape):
     np.testing.assert_allclose(np.divide(moved, moved[0]), (1, 2, 3), rtol=0.2)
 
 
-@pytest.mark.parametrize("data", ["precision", "landmarks"])
-def test_observations_slip_beside_data_and_a_bone(data):
-    dice = np.random.default_rng(49)
+@pytest.mark.parametrize(("data", "seed"), [("precision", 52), ("landmarks", 49)])
+def test_observations_slip_beside_data_and_a_bone(data, seed):
+    dice = np.random.default_rng(seed)
     m = 10 ** dice.uniform(0, 1.5, (7, 8))
     m[4:6, 1:4] = np.inf
     observed = dice.normal(size=(7, 8, 2))
@@ -246,3 +246,21 @@ def test_observations_slip_beside_data_and_a_bone(data):
     assert exact.is_proven
     off = np.abs(solution.displacement - exact.field).max()
     assert off <= solution.convergence.error + 1e-6
+
+
+def test_a_bone_shares_a_force_among_its_observations_within_their_limits():
+    m = np.full((2, 4), np.inf, np.float32)
+    held, still = np.zeros((2, 6, 8), np.bool_), np.zeros((2, 4, 2))
+    held[0, 2, 2:5] = True
+    material = PRIOR.material(Problem(observed=still, confidence=1 + still, stiffness=m))
+    bodies = Bodies(bodies_of(m), material, held)
+    forces, limits = np.zeros(held.shape), np.zeros(held.shape)
+    forces[0, 2, 3] = 0.9
+    limits[0, 2, 2:5] = 0.2, 1.0, 0.2
+    without_limit = forces.copy()
+    bodies.carry(without_limit)
+    assert without_limit[0, 2, 2:5] == pytest.approx((0.3, 0.3, 0.3))
+    bodies.carry(forces, limits)
+    assert (np.abs(forces[0, 2, 2:5]) <= limits[0, 2, 2:5] + 1e-9).all()
+    assert forces[0, 2, 2:5].sum() == pytest.approx(0.9)
+    assert forces[0, 2, 2] == pytest.approx(forces[0, 2, 4]), "a bone that must not turn"

@@ -202,7 +202,7 @@ class _System(NamedTuple):
         v, force = np.zeros_like(load), np.zeros_like(off)
         side = np.array([[1.0], [-1.0]])
         past, slack = np.full((2, len(off)), scale), np.stack([limit, limit])
-        ridge = 1e-13 * np.abs(hessian).max() * np.eye(len(load))
+        ridge = 1e-13 * np.abs(hessian).max(initial=0.0) * np.eye(len(load))
         for _ in range(_STEPS):
             gap = past * slack / (limit * scale)
             slip = past / scale > slack / limit

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from napari_hmrf.errors import ConvergenceError
+from napari_hmrf.errors import ConvergenceError, ProblemError
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.base import Backend
 from napari_hmrf.solver.backends.linear import HeldPlanes, LinearModel, Planes
@@ -60,14 +60,10 @@ _PASSED = 1e-3
 _NEAR_LIMIT = 1e-4
 # Work over a free motion that is rounding error, as a fraction of the sum of absolute values.
 _BALANCED = 1e-9
-# Precision that holds a component of a rigid body, in units of the model.
-_TIE = 100.0
-# Largest number of corrections of the forces on bodies, and their accuracy in tolerances.
-_CORRECTIONS, _AT_POSITION = 20, 0.02
-# Reduction of this distance above which the precision is raised, and factor.
-_SLOW, _STRONGER = 0.3, 10.0
-# Factor on the distance of held observations of bodies in the estimated error.
-_TIE_MARGIN = 10.0
+# Distance of held observations of a rigid body from one of its motions that is rounding error,
+# relative to the largest observed displacement, and factor on it in the estimated error, because
+# tissue around a turning body moves farther than the body.
+_ROUNDED, _LEVER = 3e-7, 30.0
 
 
 class Slip:
@@ -113,16 +109,16 @@ class Slip:
         self._aims, self._limit = y.ravel()[self._at], limit.ravel()[self._at]
         self._yielding = self._planes(self._limit)
         self._sides: Float64Array = np.zeros(len(self._at))
-        #: Forces of held observations of rigid bodies.
-        self._ties: Float64Array = np.zeros(len(self._at))
         model.hold(self._fixed)
         bodies = np.zeros_like(observed)
         if model.bodies is not None:
             bodies = model.bodies.hold(bodies)
+        self._bodies: HeldPlanes = bodies
         self._on_body = bodies.ravel()[self._at]
         self._scale = float(np.abs(self._aims).max(initial=0.0))
+        self._largest = float(np.abs(y).max(initial=0.0))
         #: Refinement of the last solve, with its estimated error.
-        self.refinement = self._refinement = new_refinement(model)
+        self.refinement = new_refinement(model)
         self._soft: tuple[LinearModel, Refinement] | None = None
         #: Required force of each observation in the last field.
         self._needed: Float64Array = np.zeros(len(self._at))
@@ -133,7 +129,7 @@ class Slip:
         off = self._off(d)
         self._sides = np.where(np.abs(off) > tolerance, np.sign(off), 0.0)
         begun = d.copy()
-        if self._on_body.any() or not self._exchange(d, tolerance):
+        if not self._exchange(d, tolerance):
             np.copyto(d, begun)
             self._soften(d, tolerance)
         self._settle(d)
@@ -194,8 +190,8 @@ class Slip:
             before = d.copy()
             try:
                 needed = self._solve(d, near, self._pins(ways))
-            except ConvergenceError:
-                return False
+            except (ConvergenceError, ProblemError):
+                return False  # a body cannot have all observed positions
             if ways:
                 self._least(d, needed, ways)
             holds = self._sides == 0
@@ -204,10 +200,13 @@ class Slip:
             wrong = np.where(holds, over, passed)
             moved = float(np.abs(d - before).max())
             count = int(np.count_nonzero(wrong))
-            is_still = not count or (number > 0 and moved <= near / 2)
-            if is_still and (
-                near == tolerance or (not count and self.refinement.estimate <= tolerance)
-            ):
+            # A body stays until the last of its redundant observations slips.
+            may_move = bool((wrong & self._on_body).any())
+            is_still = not count or (number > 0 and moved <= near / 2 and not may_move)
+            is_accurate = self.refinement.estimate <= tolerance
+            # An estimate far below what was asked is less reliable beside rigid bodies.
+            is_final = near == tolerance or (not count and self._model.bodies is None)
+            if is_still and is_accurate and is_final:
                 self._needed = needed
                 return True
             self._sides = np.where(wrong, np.where(holds, np.sign(needed), 0.0), self._sides)
@@ -221,49 +220,30 @@ class Slip:
         return False
 
     def _solve(self, d: Planes, tolerance: float, pins: HeldPlanes) -> Float64Array:
-        """Solve for the current states, in place; return the required force of each observation."""
-        holds = self._sides == 0
-        held = self._held(holds & ~self._on_body)
-        np.copyto(d, self._y, where=held)
-        ties = holds & self._on_body
-        if ties.any():
-            refinement = self._solve_tied(d, tolerance, held | pins, ties)
-        else:
-            refinement = self._refinement
-            self._hold(self._model, held | pins, d)
-            pulls = self._planes(self._sides * self._limit)
-            refinement.run(d, self._with_load(pulls), tolerance)
-        refinement.set_energy(self.energy(d))
-        self.refinement = refinement
-        needed = -self._with_load(refinement.pull(d)).ravel()[self._at]
-        return np.where(self._on_body, np.where(ties, self._ties, 0.0), needed)
+        """Solve for the current states, in place; return the required force of each observation.
 
-    def _solve_tied(
-        self, d: Planes, tolerance: float, held: HeldPlanes, ties: npt.NDArray[np.bool_]
-    ) -> Refinement:
-        """Solve with held observations of rigid bodies, in place, by the method of multipliers.
-
-        Such observations may be redundant, so they are not constraints. Stiff springs pull the
-        bodies to the observed positions, and the forces of the springs are added to the load until
-        the springs have no force.
+        Raises
+        ------
+        ConvergenceError, ProblemError
+            If the tolerance cannot be reached, or no motion of a rigid body has all its observed
+            positions.
         """
-        strength, before = _TIE, np.inf
-        for _ in range(_CORRECTIONS):
-            model, refinement = self._with_springs(self._planes(np.where(ties, strength, 0.0)))
-            self._hold(model, held, d)
-            pulls = np.where(ties, self._ties + strength * self._aims, self._sides * self._limit)
-            refinement.run(d, self._with_load(self._planes(pulls)), tolerance)
-            off = np.where(ties, self._off(d), 0.0)
-            self._ties = np.where(ties, self._ties + strength * off, 0.0)
-            far = float(np.abs(off).max())
-            is_over = (np.abs(self._ties) > (1 + _EXCESS) * self._limit).any()
-            if is_over or far <= _AT_POSITION * tolerance:
-                break
-            if far > _SLOW * before:
-                strength *= _STRONGER
-            before = far
-        refinement.estimate = min(refinement.estimate + _TIE_MARGIN * far, tolerance)
-        return refinement
+        holds, model = self._sides == 0, self._model
+        held = self._held(holds)
+        np.copyto(d, self._y, where=held)
+        self._hold(model, held | pins, d)
+        far = float(np.abs(self._off(d)[holds]).max(initial=0.0))
+        if far > _ROUNDED * self._largest + _PASSED * tolerance:
+            raise ConvergenceError("a rigid body cannot have all observed positions")
+        pulls = self._planes(self._sides * self._limit)
+        self.refinement.run(d, self._with_load(pulls), tolerance)
+        self.refinement.estimate += _LEVER * far
+        self.refinement.set_energy(self.energy(d))
+        forces = self._with_load(self.refinement.pull(d)).copy()
+        if model.bodies is not None:
+            forces += np.where(self._bodies, pulls, 0.0)
+            model.bodies.carry(forces, self._yielding)
+        return -forces.ravel()[self._at]
 
     def _hold(self, model: LinearModel, held: HeldPlanes, d: Planes) -> None:
         """Set the constrained components, and make the displacement of bodies rigid, in place."""
@@ -336,7 +316,6 @@ class Slip:
                 slack = width**2 / (length * (length + np.abs(off)))
                 slips = np.abs(off) / scale > slack
                 self._sides = np.where(slips, np.sign(off), 0.0)
-                self._ties = np.where(self._on_body & ~slips, self._limit * off / length, 0.0)
                 rounded = d.copy()
                 if self._exchange(d, tolerance):
                     return

@@ -32,6 +32,8 @@ _MOST_BODIES, _MOST_VALUES = 8, 4e7
 
 # Eigenvalue, times the number of components of the body, below which a motion is free.
 _NOTHING = 1e-9
+# Part of a force that no distribution within the limits carries and that is rounding error.
+_MISSING = 1e-6
 # Largest distance of observations from a rigid motion: in pixels, and relative to the largest
 # observed value.
 _OFF, _PART = 1e-3, 1e-5
@@ -182,18 +184,33 @@ class Bodies:
             free = body.free if vector.dtype == np.float64 else body.single
             flat[body.at] = free @ (free.T @ flat[body.at])
 
-    def carry(self, forces: Planes) -> None:
+    def carry(self, forces: Planes, limits: Planes | None = None) -> None:
         """Transfer the total force on each body to its constrained components, in place.
 
         Many distributions of the force are equivalent for a rigid body; the result has the smallest
-        norm.
+        norm, unless this exceeds the limits and another distribution does not.
+
+        Parameters
+        ----------
+        forces : ndarray, planes
+        limits : ndarray, planes, optional
+            Largest force of each component; 0 or infinite where there is no limit.
         """
         flat = forces.reshape(-1)
         for body in self._bodies:
             needed = body.motions.T @ flat[body.at]
             flat[body.at] = 0
-            holds = body.motions[body.held].T
-            flat[body.at[body.held]] = np.linalg.lstsq(holds, needed, rcond=1e-9)[0]
+            at, holds = body.at[body.held], body.motions[body.held].T
+            carried = np.linalg.lstsq(holds, needed, rcond=1e-9)[0]
+            if limits is not None and len(at):
+                most = limits.reshape(-1)[at]
+                most = np.where(most > 0, most, np.inf)
+                if (np.abs(carried) > most).any():
+                    within = scipy.optimize.lsq_linear(holds, needed, (-most, most), "bvls").x
+                    missing = np.abs(holds @ within - needed).max()
+                    if missing <= _MISSING * np.abs(needed).max():
+                        carried = within
+            flat[at] = carried
 
 
 def bodies_of(m: npt.NDArray[np.float32]) -> list[BodySites]:
