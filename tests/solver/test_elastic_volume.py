@@ -7,6 +7,7 @@ import psutil
 import pytest
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, SeilerPrior, Solution, solve
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.errors import Cancelled, ConvergenceError, ProblemError
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.cpu.volume_model import CpuVolumeModel
@@ -519,10 +520,11 @@ def test_a_volume_beyond_the_memory_is_rejected_with_a_size_that_fits(monkeypatc
         solve(problem)
 
 
-def test_a_cycle_checks_for_cancellation_between_smoothing_steps():
+def test_a_cycle_checks_for_cancellation_between_smoothing_steps(monkeypatch):
     looks = []
+    monkeypatch.setattr(compute_thread, "check_cancelled", lambda: looks.append(1))
     problem = compressed_volume(np.ones((56, 64, 64)))
-    model = CpuVolumeModel(ElasticPrior(0.3).material(problem), lambda: looks.append(1))
+    model = CpuVolumeModel(ElasticPrior(0.3).material(problem))
     _, held = host.prescribed(problem)
     model.hold(held)
     level, before = model.levels[0], len(looks)

@@ -28,7 +28,6 @@ import numpy.typing as npt
 from napari_hmrf.compute.compile_cache import loops
 from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.compute.workspace import Kept
-from napari_hmrf.solver.backends.base import Checkpoint
 from napari_hmrf.solver.backends.cpu.elastic_model import CpuElasticModel
 from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector
 from napari_hmrf.solver.backends.cpu.volume_model import CpuVolumeModel
@@ -62,14 +61,11 @@ class _Component:
     material : ElasticMaterial
     scale : float
         Stiffness unit of this model in units of the composed model.
-    checkpoint : callable
     """
 
-    def __init__(self, material: ElasticMaterial, scale: float, checkpoint: Checkpoint) -> None:
+    def __init__(self, material: ElasticMaterial, scale: float) -> None:
         volume = material.m.ndim == 3
-        self.model: _Model = (
-            CpuVolumeModel(material, checkpoint) if volume else CpuElasticModel(material)
-        )
+        self.model: _Model = CpuVolumeModel(material) if volume else CpuElasticModel(material)
         self.scale = scale
         self.cycle = Cycle(self.model, smoothing_of(material))
         shape = (material.m.ndim, *(size + 4 for size in material.m.shape))
@@ -87,10 +83,8 @@ class _Component:
 class _PartModel(_Component):
     """Model of a part in its box of the unfolded grid."""
 
-    def __init__(
-        self, material: ElasticMaterial, scale: float, box: Box, checkpoint: Checkpoint
-    ) -> None:
-        super().__init__(material, scale, checkpoint)
+    def __init__(self, material: ElasticMaterial, scale: float, box: Box) -> None:
+        super().__init__(material, scale)
         self.box = box
         #: 1 at the free components of the part, 0 elsewhere.
         self.free: Values = np.zeros((material.m.ndim, *material.m.shape), np.float32)
@@ -225,11 +219,9 @@ class SlidingModel(HostModel):
     ----------
     material : ElasticMaterial
         Material on the unfolded grid, with its coupling.
-    checkpoint : callable
-        Function called several times a second; it raises an exception to cancel the work.
     """
 
-    def __init__(self, material: ElasticMaterial, checkpoint: Checkpoint) -> None:
+    def __init__(self, material: ElasticMaterial) -> None:
         coupling = material.coupling
         assert coupling is not None
         self.material = material
@@ -244,13 +236,13 @@ class SlidingModel(HostModel):
             data += inside(material.data.weights)
         parts = []
         for box in coupling.boxes:
-            checkpoint()
+            compute_thread.check_cancelled()
             m = _without_bodies(material.m[box.unfolded], coupling.own[box.unfolded], most)
             scale = stiffest(m) / most
             weights = data[(slice(None), *box.unfolded)] / scale
             points = _points_of_part(material, box, scale)
             of_part = _material(material, m, material.poisson, box.unfolded, weights, points)
-            parts.append(_PartModel(of_part, scale, box, checkpoint))
+            parts.append(_PartModel(of_part, scale, box))
         image = np.zeros((len(packed_axes(len(grid))), *coupling.stiffness.shape))
         if material.data is not None:
             own = np.moveaxis(inside(material.data.weights), 0, -1)
@@ -263,7 +255,7 @@ class SlidingModel(HostModel):
         scale = stiffest(m) / most
         points = _points_of_image(material, coupling, scale)
         connected = _material(material, m, nu, (), image / scale, points)
-        self._whole = _Component(connected, scale, checkpoint)
+        self._whole = _Component(connected, scale)
         self._level = SlidingLevel(grid, parts, self._whole, coupling, material.unit)
         self.levels = (self._level,)
         self._rest = self._level.vector()
@@ -370,11 +362,9 @@ def _bordered(held: Values) -> HeldPlanes:
 _model: Kept[SlidingModel] = Kept(is_large=True)
 
 
-def the_model(material: ElasticMaterial, checkpoint: Checkpoint) -> SlidingModel:
+def the_model(material: ElasticMaterial) -> SlidingModel:
     """Return the model of a material, reusing the last model if possible.
 
     Call this function only on the compute thread, because all solves share the model.
     """
-    return _model.get(
-        lambda last: last.material == material, lambda: SlidingModel(material, checkpoint)
-    )
+    return _model.get(lambda last: last.material == material, lambda: SlidingModel(material))

@@ -9,8 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.compute.compile_cache import loops
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.compute.workspace import Kept
-from napari_hmrf.solver.backends.base import BATCH_SECONDS, Checkpoint
+from napari_hmrf.solver.backends.base import BATCH_SECONDS
 from napari_hmrf.solver.backends.cpu import hexahedra, volume, volume_transfer
 from napari_hmrf.solver.backends.cpu.double_level import DoubleLevel
 from napari_hmrf.solver.backends.cpu.layout import (
@@ -35,10 +36,6 @@ from napari_hmrf.solver.priors.elements import (
 
 # Approximate time of a smoothing step for one site on one thread, in seconds.
 _SITE_SECONDS = 20e-9
-
-
-def _never_cancel() -> None:
-    """Do nothing, for levels that cannot be cancelled."""
 
 
 class VolumeLevel(CpuLevel):
@@ -124,8 +121,6 @@ class CpuVolumeLevel(VolumeLevel):
         Parameters mu, or mu and lambda, of the elements; 0 in void.
     share : float
         Ratio lambda / mu of all elements, or 1 if each element has its own lambda.
-    checkpoint : callable
-        Function called several times a second; it raises an exception to cancel the work.
     """
 
     lame: Vector
@@ -140,7 +135,6 @@ class CpuVolumeLevel(VolumeLevel):
         self.parts = volume.parts(grid[0])
         #: Number of smoothing steps between two checks for cancellation.
         self._at_once = max(1, int(BATCH_SECONDS / (_SITE_SECONDS * math.prod(grid))))
-        self.checkpoint: Checkpoint = _never_cancel
         self.share = np.float32(1)
 
     @property
@@ -166,9 +160,9 @@ class CpuVolumeLevel(VolumeLevel):
         self.clear()
         for component in self.inverse:
             component.fill(0)
-            self.checkpoint()
+            compute_thread.check_cancelled()
         self.write_diagonal()
-        self.checkpoint()
+        compute_thread.check_cancelled()
         self._hold(held, self.inverse, self.spans)
         self._hold_data()
 
@@ -193,7 +187,7 @@ class CpuVolumeLevel(VolumeLevel):
             self._smooth_by(some)
             if len(some) % 2 == 1:
                 self.correction, self._other = self._other, self.correction
-            self.checkpoint()
+            compute_thread.check_cancelled()
 
     def _smooth_by(self, paces: Vector) -> None:
         """Run Chebyshev steps from `correction`, alternating between it and `_other`."""
@@ -274,21 +268,12 @@ class CpuVolumeModel(HostModel):
     ----------
     material : ElasticMaterial
         Material on the finest grid.
-    checkpoint : callable
-        Function called several times a second; it raises an exception to cancel the work.
     """
 
-    def __init__(self, material: ElasticMaterial, checkpoint: Checkpoint = _never_cancel) -> None:
+    def __init__(self, material: ElasticMaterial) -> None:
         self.levels: list[CpuVolumeLevel] = []
         self._rest: Vector = np.zeros(0, dtype=np.float32)
-        self._checkpoint = checkpoint
         self.assemble(material)
-
-    def set_checkpoint(self, checkpoint: Checkpoint) -> None:
-        """Replace the checkpoint of all levels."""
-        self._checkpoint = checkpoint
-        for level in self.levels:
-            level.checkpoint = checkpoint
 
     def assemble(self, material: ElasticMaterial) -> None:
         """Replace the material with one that has the same grid and number of parameters."""
@@ -307,7 +292,7 @@ class CpuVolumeModel(HostModel):
             volume.elements(m, m, True, scale / (2 + 2 * nu), lame)
         else:
             volume.elements(m, loops.only_read(nu), False, scale, lame)
-        self._checkpoint()
+        compute_thread.check_cancelled()
         self._set_levels(lame)
         for level in self.levels:
             level.shape, level.share = constants.astype(np.float32), np.float32(share)
@@ -317,7 +302,7 @@ class CpuVolumeModel(HostModel):
             finest.write_diagonal()
             finest.set_data(material.data)
             for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
-                self._checkpoint()
+                compute_thread.check_cancelled()
                 fine.coarsen_data(coarse)
         self._exact: tuple[Any, ...] = np.float64(share), constants
 
@@ -336,7 +321,7 @@ class CpuVolumeModel(HostModel):
             if number == len(self.levels):
                 self.levels.append(CpuVolumeLevel(grid, layout, number == 0, has_data))
             level = self.levels[number]
-            level.lame, level.checkpoint = layout.packed(lame), self._checkpoint
+            level.lame = layout.packed(lame)
         if self._rest.shape != self.levels[0].inverse.shape:
             self._rest = self.levels[0].vector()
 
@@ -408,7 +393,7 @@ class CpuVolumeModel(HostModel):
 _model: Kept[CpuVolumeModel] = Kept(is_large=True)
 
 
-def the_model(material: ElasticMaterial, checkpoint: Checkpoint = _never_cancel) -> CpuVolumeModel:
+def the_model(material: ElasticMaterial) -> CpuVolumeModel:
     """Return the model of a material, reusing the last model if possible.
 
     Call this function only on the compute thread, because all solves share the model.
@@ -419,9 +404,8 @@ def the_model(material: ElasticMaterial, checkpoint: Checkpoint = _never_cancel)
 
     model = _model.get(
         lambda last: layout(last.material) == layout(material),
-        lambda: CpuVolumeModel(material, checkpoint),
+        lambda: CpuVolumeModel(material),
     )
-    model.set_checkpoint(checkpoint)
     if model.material != material:
         _model.clear()  # if the update is cancelled, the model is not kept
         model.assemble(material)
