@@ -80,11 +80,11 @@ class HostModel:
         for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
             compute_thread.check_cancelled()
             coarse.hold_as(fine)
-        self._begin()
+        self._start_cycles()
         self._held = held.copy() if len(held) == 2 else held  # the mask of a volume never changes
 
-    def _begin(self) -> None:
-        """Reset results that depend on the constraints; the base class has no such results."""
+    def _start_cycles(self) -> None:
+        """Prepare the levels for cycles with new constraints; by default, nothing is needed."""
 
     def balance(self, d: Planes, load: Planes | None, unit: float = 1.0) -> Balance:
         """Return the residual of a load at a displacement."""

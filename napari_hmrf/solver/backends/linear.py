@@ -76,8 +76,10 @@ class LinearLevel(Protocol):
         """
         ...
 
-    #: True if `finish` also processes all coarser levels.
-    finishes_cycle: bool
+    @property
+    def finishes_cycle(self) -> bool:
+        """True if `finish` also processes all coarser levels."""
+        ...
 
     def finish(self, steps: Steps, coarsest: Steps) -> None:
         """Compute a correction for the load, starting from zero.

@@ -230,10 +230,6 @@ class CpuBackend:
             from napari_hmrf.solver.backends.cpu import sliding_model  # heavy: numba
 
             return sliding_model.the_model(material)
-        if material.m.ndim == 3:
-            from napari_hmrf.solver.backends.cpu import volume_model  # heavy: numba
-
-            return volume_model.the_model(material)
         from napari_hmrf.solver.backends.cpu.elastic_model import the_model  # heavy: numba
 
         return the_model(material, whole=False)

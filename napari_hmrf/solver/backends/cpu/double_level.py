@@ -24,20 +24,17 @@ class DoubleLevel(CpuLevel):
 
     Parameters
     ----------
-    level : CpuVolumeLevel
+    level : CpuElasticLevel
         Finest level in single precision.
-    share : float
-        Ratio lambda / mu of all elements, or 1 if each element has its own lambda.
-    shape : ndarray
-        Constants of the elements' shape (`hexahedra.constants`), in double precision.
+    exact : tuple
+        Elements for the loops in double precision (`volume_loops.exact`).
     """
 
-    def __init__(self, level: Any, share: np.float64, shape: Float64Array) -> None:
+    def __init__(self, level: Any, exact: tuple[Any, ...]) -> None:
         rounded = level.vector()
-        super().__init__(level.grid, iter((level.inverse, *[rounded] * 3)), level.layout)
-        self._memory = None
-        self._level, self._tissue = level, (flat(level.lame), share)
-        self._about = 0.0, shape, level.moving
+        memory = dict.fromkeys(("load", "correction", "other"), rounded)
+        super().__init__(level.grid, True, level.layout, {"inverse": level.inverse, **memory})
+        self._level, self._exact = level, exact
         self.bodies, self.sums_up = level.bodies, level.sums_up
 
     def rounded(self, rest: Float64Array) -> Vector:
@@ -47,12 +44,11 @@ class DoubleLevel(CpuLevel):
 
     def vector(self, values: npt.NDArray[Any] | None = None) -> Any:
         """Return a zero vector, or a copy of the given planes."""
-        if self._memory is not None:
-            return next(self._memory)
         return np.zeros(self.load.shape) if values is None else values.astype(np.float64)
 
-    def free(self, *vectors: Any) -> None:
-        """Discard the vectors instead of reusing them, because memory is scarce in volumes."""
+    def scratch_vector(self) -> Any:
+        """Return a vector that is valid until the next cycle."""
+        return self.vector()
 
     def advance_by(
         self, d: Any, share: float, rest: Any, direction: Any, image: Any, length: float
@@ -66,9 +62,10 @@ class DoubleLevel(CpuLevel):
 
     def apply(self, direction: Any, image: Any) -> float:
         """Compute ``image = A @ direction``; return ``direction . image``."""
-        springs, shape, moving = self._about
-        inverse, given = flat(self.inverse), (flat(direction), 0.0, self._level.layout.starts)
-        about = *self._tissue, inverse, inverse, springs, None, shape, moving
-        volume.rest(flat(direction), *given, *about, -1.0, flat(image), self._level.parts)
-        self._level.add_data(direction, self.inverse, image)
+        level, inverse = self._level, flat(self.inverse)
+        *tissue, shape = self._exact
+        about = flat(direction), 0.0, level.layout.starts, *tissue, inverse, inverse, 0.0, None
+        out = flat(image), level.parts
+        volume.rest(flat(direction), *about, shape, level.where, -1.0, *out)
+        level.add_data(direction, self.inverse, image)
         return self.product(direction, image)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property, partial
 from itertools import pairwise
 from typing import Any
@@ -11,21 +11,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.compute.compile_cache import loops
+from napari_hmrf.compute.compile_cache import loops as compiled
+from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.compute.workspace import Kept
-from napari_hmrf.solver.backends.cpu import (
-    assembly,
-    elastic,
-    elastic_exact,
-    forces,
-    small,
-    vectors,
-)
+from napari_hmrf.solver.backends.cpu import small
 from napari_hmrf.solver.backends.cpu.deflation_setup import build_deflation
-from napari_hmrf.solver.backends.cpu.layout import Layout, Table, Values, flat, whole_rows
-from napari_hmrf.solver.backends.cpu.level import Vector, paces_of
-from napari_hmrf.solver.backends.cpu.small_levels import SmallLevel, SmallLevels, divided
-from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
+from napari_hmrf.solver.backends.cpu.double_level import DoubleLevel
+from napari_hmrf.solver.backends.cpu.layout import Layout, flat
+from napari_hmrf.solver.backends.cpu.level import CpuLevel, Spans, Vector, loops_of
+from napari_hmrf.solver.backends.cpu.small_levels import SmallLevels, divided
+from napari_hmrf.solver.backends.cpu.transfer import padded
 from napari_hmrf.solver.backends.host_model import HostModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.solver.backends.rigid.bodies import bodies_of, can_deflate
@@ -38,164 +33,105 @@ from napari_hmrf.solver.priors.elements import (
     stiffest,
 )
 
-# Coefficients (scale, ahead, back) of a Chebyshev step that changes nothing.
-_NO_STEP = np.zeros(3, dtype=np.float32)
 
-
-class CpuElasticLevel(SmallLevel):
+class CpuElasticLevel(CpuLevel):
     """Level of elastic tissue with its elements and springs.
 
     Attributes
     ----------
-    lame : ndarray, shape (2, *layout.shape)
-        Lame parameters of the elements; 0 in void. The model sets those of large levels.
-    pins : ndarray, shape (2, H + 4, W + 4)
-        Prescribed components, always as planes.
-    moving, reach : ndarray
+    lame : ndarray, shape (parameters, *layout.shape)
+        Parameters of the elements: lambda and mu in an image, mu or mu and lambda in a volume;
+        0 in void. The model sets those of large levels.
+    share : float
+        Ratio lambda / mu of all elements of a volume, or 1 if each element has its own lambda.
+    shape : ndarray
+        Constants of the loops for the shape of a site.
+    moving_inverse, moving_spans : ndarray
         Variants of `inverse` and `spans` in which the bodies constrained by cycles are free.
     """
 
+    loops_apply_data = True
     lame: Vector
+    shape: Vector
+    share = np.float32(1)
 
     def __init__(
         self,
         grid: tuple[int, ...],
-        shape: Vector,
-        finest: bool,
-        spans: npt.NDArray[np.int64],
-        memory: Iterator[Vector] | None = None,
-        has_data: bool = False,
+        finest: bool = False,
         layout: Layout | None = None,
+        memory: Mapping[str, Vector] | None = None,
+        has_data: bool = False,
     ) -> None:
-        super().__init__(grid, memory, layout)
-        self.shape, self.spans = shape, spans
-        self._totals: npt.NDArray[np.float64] = np.zeros(grid[0])
-        self.pins = self.vector() if self.layout.is_whole else padded(2, grid)
-        self.weight = None if finest else self.vector()
+        super().__init__(grid, finest, layout, memory)
+        self.sums_up = self.is_volume
         if memory is not None:
-            next(memory)  # skip the array for the residual, which is used only by the cycle
-            self.lame = self.vector()
-            if has_data:
-                self.lame, self.mixed = self.lame[:2], self.lame[2:]
-        self.moving, self.reach = self.inverse, spans
-        self._memory = None
+            self.lame = memory["own"][:2]
+            self.mixed = memory["own"][2:] if has_data else None
         if has_data:
-            self.data = padded(3, grid)
-            self.weight = self.vector() if self.weight is None else self.weight
-            self.mixed = self.vector() if self.mixed is None else self.mixed
-        #: Number of threads among which the rows are divided.
-        self.parts = forces.parts(grid[0])
+            self.allow_data()
+        self.moving_inverse, self.moving_spans = self.inverse, self.spans
+        self.totals: npt.NDArray[np.float64] = np.zeros(grid[0])
+        #: Number of threads among which the rows or planes are divided.
+        self.parts = self.loops.parts(grid[0])
 
-    def hold(self, held: HeldPlanes) -> None:
-        """Set the prescribed components of the finest level, and constrain deflated bodies."""
-        before = self.spans.copy()
-        self.moving, self.reach = self.inverse, self.spans
-        if self.bodies is not None and self.bodies.is_deflated:
-            self.moving, self.reach = self._with_bodies
-            self.write_diagonal(self.moving)
-            self._hold(held, self.moving, self.reach)
-            held = self.bodies.hold(held)
-        self.write_diagonal(self.inverse)
-        self._hold(held, self.inverse, self.spans)
-        self._hold_data()
-        # Deflation also changes the correction at bodies, so the next cycle must reset it there.
-        self.spans[:] = self.reach
-        self._clear_vectors(before)
+    @property
+    def elements(self) -> tuple[Any, ...]:
+        """Parameters of the elements, for the loops."""
+        return (flat(self.lame), self.share) if self.is_volume else (flat(self.lame),)
+
+    @property
+    def system(self) -> tuple[Any, ...]:
+        """Elements, springs and data, for the loops."""
+        weight, springs = self._springs
+        mixed = None if self.mixed is None else flat(self.mixed)
+        return *self.elements, flat(self.inverse), flat(weight), springs, mixed, self.shape
 
     def write_diagonal(self, out: Vector) -> None:
         """Write the diagonal of the stiffness matrix to `out`."""
-        starts, _, tissue = self.layout.rows
-        assembly.diagonal(flat(self.lame), starts, tissue, self.shape, flat(out))
+        self.loops.diagonal(self, out)
+
+    def hold(self, held: HeldPlanes, springs: Planes | None = None) -> None:
+        """Set the prescribed components of the finest level, and constrain deflated bodies."""
+        self.moving_inverse, self.moving_spans = self.inverse, self.spans
+        if self.bodies is None or not self.bodies.is_deflated:
+            super().hold(held, springs)
+            return
+        self.moving_inverse, self.moving_spans = self._with_bodies
+        self.write_diagonal(self.moving_inverse)
+        self._hold(held, self.moving_inverse, self.moving_spans)
+        super().hold(self.bodies.hold(held), springs)
+        # Deflation also changes the correction at bodies, so the next cycle must reset it there.
+        self.spans[:] = self.moving_spans
 
     @cached_property
-    def _with_bodies(self) -> tuple[Vector, npt.NDArray[np.int64]]:
-        """Arrays for `moving` and `reach`, allocated only for rigid tissue."""
+    def _with_bodies(self) -> tuple[Vector, Spans]:
+        """Arrays for `moving_inverse` and `moving_spans`, allocated only for rigid tissue."""
         return self.vector(), np.zeros_like(self.spans)
 
-    def hold_as(self, finer: CpuElasticLevel) -> None:
-        """Set the springs of sites near prescribed sites of the next finer level."""
-        before = self.spans.copy()
-        self.write_diagonal(self.inverse)
-        self._set_springs(finer)
-        self._clear_vectors(before)
+    def _begin(self, paces: Vector) -> int:
+        return int(self.loops.begin(self, paces))
 
-    def _restrict_pins(self, finer: CpuElasticLevel) -> None:
-        vectors.restrict(finer.pins, self.pins)
+    def _smooth(self, paces: Vector) -> None:
+        self.loops.smooth(self, paces)
 
-    def _clear_vectors(self, before: npt.NDArray[np.int64]) -> None:
-        """Clear the corrections if spans have shrunk, because kernels write only within spans."""
-        if (self.spans[:, 0] > before[:, 0]).any() or (self.spans[:, 1] < before[:, 1]).any():
-            for vector in (self.correction, self._other):
-                vector.fill(0)
-
-    def holding(self) -> CpuElasticLevel:
-        """Return a copy of this level with all pinned sites prescribed, and without springs."""
-        assert self.together is not None
-        made: CpuElasticLevel = self.together.copy().levels[0]
-        assert made.weight is not None
-        made.weight.fill(0)
-        made.hold(self.pins > 0)
-        return made
-
-    def relax(self, steps: Steps, from_zero: bool) -> None:
-        """Run Chebyshev-Jacobi steps on `correction` for `load`."""
-        if self.point_smoother is not None:
-            self._relax_with_data(steps, from_zero)
-            return
-        paces = paces_of(steps, from_zero)
-        if from_zero:
-            # `begin` does not store the displacement after step 1, which step 3 would require.
-            second = paces[1] if len(paces) == 2 else _NO_STEP
-            out = flat(self.correction)
-            elastic.begin(*self._about, out, paces[0, 0], *second, self.parts)
-            paces = paces[2 if len(paces) == 2 else 1 :]
-        for pace in paces:
-            self._step_simply(pace)
-            self.correction, self._other = self._other, self.correction
-
-    def _step_simply(self, pace: Vector) -> None:
-        d, out = flat(self.correction), flat(self._other)
-        elastic.smooth(d, *self._about, out, *pace, self.parts)
-
-    def _restrict_residual(self, coarse: CpuElasticLevel) -> None:
-        if self.point_smoother is not None:
-            self._restrict_with_data(coarse)
-            return
-        starts, _, tissue = coarse.layout.rows
-        about = *self._about, flat(coarse.load), starts, tissue, self.parts
-        elastic.leave(flat(self.correction), *about)
-
-    def _interpolate(self, coarse: CpuElasticLevel) -> None:
-        vectors = flat(coarse.correction), coarse.layout.rows[0], flat(self.correction)
-        elastic.interpolate(*vectors, flat(self.inverse), self._where(self.spans))
-
-    @property
-    def _about(self) -> tuple[Any, ...]:
-        """Arguments of the smoothing loops."""
-        weight, springs = self._springs
-        mixed = None if self.mixed is None else flat(self.mixed)
-        vectors = flat(self.load), flat(self.lame), flat(self.inverse), flat(weight)
-        return *vectors, springs, mixed, self.shape, self._where(self.spans)
-
-    def _where(self, spans: Table) -> tuple[Table, Table, int]:
-        """Table of rows, spans, and width of a padded row, for the kernels."""
-        return self.layout.rows[0], spans, self.layout.planes[1]
+    def _leave(self, coarse: Any) -> None:
+        self.loops.leave(self, coarse)
 
     def apply(self, direction: Vector, image: Vector) -> float:
         """Compute ``image = A @ direction``; return ``direction . image``."""
-        data = None if self.exact_data is None else flat(self.exact_data)
-        where, out = self._where(self.reach), (flat(image), self._totals)
-        about = flat(self.lame), flat(self.moving), data, self.shape, where, *out
-        if self.together is None:
-            elastic.apply(flat(direction), *about, self.parts)
-        else:  # on a small level, waking other threads takes longer than the loop
-            elastic.apply_part(flat(direction), *about, 0, len(self.reach))
-        return float(self._totals.sum()) + self.add_points(direction, self.moving, image)
+        return float(self.loops.apply(self, direction, image))
 
-    def coarsen_data(self, coarse: CpuElasticLevel) -> None:
-        """Compute the tensors of the data term on the next coarser level."""
-        self.write_diagonal(self.inverse)
-        self._restrict_data(coarse)
+    def advance_by(
+        self, d: Any, share: float, rest: Vector, direction: Vector, image: Vector, length: float
+    ) -> float:
+        """Add ``share * direction`` to `d`, and subtract ``length * image`` from `rest`.
+
+        Return ``rest . rest``. In a volume, `d` consists of planes in all layouts.
+        """
+        if not self.is_volume:
+            return super().advance_by(d, share, rest, direction, image, length)
+        return float(self.loops.advance(self, d, share, rest, direction, image, length))
 
 
 def _cycle(shape: Vector, values: Vector, table: npt.NDArray[np.int64], *paces: Vector) -> None:
@@ -221,177 +157,164 @@ class CpuElasticModel(HostModel):
     """
 
     def __init__(self, material: ElasticMaterial, whole: bool = True) -> None:
-        self._shape = np.array(material.shape, dtype=np.float32)
-        large, little = divided(grids(material.m.shape))
-        self._whole = whole
-        #: Lame parameters on each large level, as planes.
-        self._planes = [padded(2, grid) for grid in large]
+        shape = material.m.shape
+        self._loops, self._whole = loops_of(len(shape)), whole
+        self._large, little = divided(grids(shape))
         self.levels: list[CpuElasticLevel] = []
-        self._little = self._small(little, material.data is not None) if little else []
-        self._exact_lame: Planes = np.zeros(self._planes[0].shape)
+        self._shape: Vector = self._loops.constants(material.shape).astype(np.float32)
+        self._small = self._small_levels(little, material.data is not None) if little else None
+        self._exact_lame = self._loops.exact_elements(shape)
         self._rest: Vector = np.zeros(0, dtype=np.float32)
-        self._deflation = np.zeros((0, *self._exact_lame.shape), dtype=np.float32)
-        self._rows: npt.NDArray[np.float64] = np.zeros((2, large[0][0]))
+        self._fields: Vector = np.zeros((0, 0), dtype=np.float32)
         self.assemble(material)
 
-    def _small(self, grids: Sequence[tuple[int, ...]], has_data: bool) -> list[CpuElasticLevel]:
+    def _small_levels(self, little: Sequence[tuple[int, ...]], has_data: bool) -> SmallLevels:
         """Return the small levels, which share memory and a single-call V-cycle."""
-        shape = self._shape
 
-        def level(grid: tuple[int, ...], memory: Iterator[Vector]) -> CpuElasticLevel:
-            spans = np.zeros((grid[0], 2), dtype=np.int64)
-            return CpuElasticLevel(grid, shape, False, spans, memory, has_data)
+        def level(grid: tuple[int, ...], memory: Mapping[str, Vector]) -> CpuElasticLevel:
+            return CpuElasticLevel(grid, memory=memory, has_data=has_data)
 
         planes = small.DATA_PLANES if has_data else small.PLANES
-        cycle = partial(_data_cycle if has_data else _cycle, shape)
-        return SmallLevels(grids, int(planes), level, cycle).levels
+        cycle = partial(_data_cycle if has_data else _cycle, self._shape)
+        return SmallLevels(little, int(planes), level, cycle)
 
     def fits(self, material: ElasticMaterial, whole: bool) -> bool:
         """Return whether `assemble` can reuse this model for a material and a layout."""
-        same = material.m.shape == self.material.m.shape and whole == self._whole
-        return same and (material.data is None) == (self.material.data is None)
+        return (
+            material.m.shape == self.material.m.shape
+            and whole == self._whole
+            and (material.data is None) == (self.material.data is None)
+            and self._loops.parameters(material) == len(self.levels[0].lame)
+        )
 
     def assemble(self, material: ElasticMaterial) -> None:
-        """Replace the material with another material on the same grid."""
+        """Replace the material with another material that this model fits."""
         self.material = material
         self.bounds = smoother_bounds(material)
-        self._shape[:] = material.shape
-        self._exact_shape = np.array(material.shape, dtype=np.float64)
-        self._held = None
+        self._held = self.bodies = self._sites = None
         m, most = material.m, stiffest(material.m)
-        self.bodies = self._sites = None
         if material.rigid:
             self._sites = bodies_of(m)
             stand_in = HELD_STAND_IN if can_deflate(self._sites, m.shape) else CYCLE_STAND_IN
             m = np.where(np.isinf(m), np.float32(stand_in * most), m)
-        m, nu = loops.only_read(m), material.poisson
-        one, each = (nu, m) if isinstance(nu, float) else (0.0, loops.only_read(nu))
-        assembly.elements(
-            m,
-            one,
-            each,
-            isinstance(nu, float),
-            material.strain,
-            0.25 / most,
-            self._exact_lame,
-        )
-        self._set_levels()
-        self.levels[0].bodies = None
+        lame = self._planes(0, self._loops.parameters(material))
+        exact = lame if self._exact_lame is None else self._exact_lame
+        share = self._loops.write_elements(material, compiled.only_read(m), most, exact)
+        if exact is not lame:
+            np.copyto(lame, exact, casting="same_kind")
+        compute_thread.check_cancelled()
+        self._set_levels(lame)
+        constants = self._loops.constants(material.shape)
+        self._shape[:] = constants
+        for level in self.levels:
+            level.shape, level.share = self._shape, np.float32(share)
+        finest = self.levels[0]
+        finest.bodies = None
         if material.data is not None:
-            self.levels[0].write_diagonal(self.levels[0].inverse)
-            self.levels[0].set_data(material.data)
-            for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
+            finest.set_data(material.data)
+            for fine, coarse in pairwise(self.levels):
+                compute_thread.check_cancelled()
                 fine.coarsen_data(coarse)
+        #: Elements of the finest level, for the loops in double precision.
+        self._exact = self._loops.exact(finest.lame if exact is lame else exact, share, constants)
 
-    def _set_levels(self) -> None:
-        """Set the elements of all levels; replace each level if its layout has changed."""
+    def _planes(self, number: int, parameters: int) -> Vector:
+        """Return planes for the elements of a large level: its own, if it stores planes."""
+        if number < len(self.levels) and self.levels[number].layout.is_whole:
+            return self.levels[number].lame
+        return padded(parameters, self._large[number])
+
+    def _set_levels(self, lame: Vector) -> None:
+        """Set the elements of all levels; replace the levels from the first with a new layout."""
+        has_data = self.material.data is not None
         # The data term, its landmarks and rigid bodies find their sites in planes.
-        whole = self._whole or self.material.data is not None or self.material.rigid
-        self._planes[0][...] = self._exact_lame
-        for fine, coarse in pairwise([*self._planes, *(level.lame for level in self._little)]):
-            assembly.coarsen(fine, coarse)
-        large = [
-            self._level(number, Layout.of_tissue(lame[1], whole))
-            for number, lame in enumerate(self._planes)
-        ]
-        for level, lame in zip(large, self._planes, strict=True):
-            level.lame = level.layout.packed(lame)
-        self.levels = large + self._little
+        whole = self._whole or has_data or self.material.rigid
+        for number, grid in enumerate(self._large):
+            if number > 0:
+                fine, lame = lame, self._planes(number, len(lame))
+                self._loops.coarsen(fine, lame)
+            layout = Layout.of_tissue(lame[self._loops.SHEAR], whole)
+            if number < len(self.levels) and not self.levels[number].layout.matches(layout):
+                del self.levels[number:]  # free their memory before new levels are allocated
+            if number == len(self.levels):
+                level = CpuElasticLevel(grid, number == 0, layout, has_data=has_data)
+                self.levels.append(level)
+            self.levels[number].lame = layout.packed(lame)
+        little = [] if self._small is None else self._small.levels
+        self.levels[len(self._large) :] = little
+        for level in little:
+            self._loops.coarsen(lame, level.lame)
+            lame = level.lame
         if self._rest.shape != self.levels[0].inverse.shape:
             self._rest = self.levels[0].vector()
-
-    def _level(self, number: int, layout: Layout) -> CpuElasticLevel:
-        """Return the large level with this number, or a new one if its layout has changed."""
-        if self.levels and self.levels[number].layout.matches(layout):
-            return self.levels[number]
-        grid = tuple(size - 2 * PAD for size in layout.planes)
-        about = self._shape, number == 0, np.zeros((grid[0], 2), dtype=np.int64)
-        has_data = self.material.data is not None
-        return CpuElasticLevel(grid, *about, has_data=has_data, layout=layout)
 
     @property
     def moves(self) -> HeldPlanes:
         """Mask of the unknown components of the finest level."""
         finest = self.levels[0]
-        moves: HeldPlanes = finest.planes(finest.moving) > 0
+        moves: HeldPlanes = finest.planes(finest.moving_inverse) > 0
         return moves
+
+    def _start_cycles(self) -> None:
+        for level in self.levels:
+            level.start_cycles()
 
     def deflation(self, steps: Steps, coarsest: Steps) -> Deflation | None:
         """Return the deflation by the fields of movable bodies, or None if no body can move."""
         if self.bodies is None or not self.bodies.is_deflated:
             return None
         number = next((k for k, level in enumerate(self.levels) if level.finishes_cycle), 0)
-        small = self.levels[number].holding() if number > 0 else None
+        without_springs = None if self._small is None else self._all_pinned(self._small)
         # This method runs often while the user draws. Reuse the memory, because allocation is slow.
-        shape = 2 * self.bodies.freedom, *self._exact_lame.shape
-        if self._deflation.shape[0] < shape[0]:
-            self._deflation = np.zeros(shape, dtype=np.float32)
-        memory = self._deflation[: shape[0]]
-        return build_deflation(
-            self.bodies, self.levels[: number + 1], small, steps, coarsest, memory
-        )
+        fields = 2 * self.bodies.freedom
+        if len(self._fields) < fields:
+            self._fields = np.zeros((fields, *self.levels[0].inverse.shape), dtype=np.float32)
+        levels, memory = self.levels[: number + 1], self._fields[:fields]
+        return build_deflation(self.bodies, levels, without_springs, steps, coarsest, memory)
+
+    def _all_pinned(self, small_levels: SmallLevels) -> CpuElasticLevel:
+        """Return a copy of the small levels without springs, with all pinned sites prescribed."""
+        finest: CpuElasticLevel = small_levels.copy().levels[0]
+        assert finest.weight is not None
+        finest.weight.fill(0)
+        finest.hold(small_levels.levels[0].pins > 0)
+        return finest
 
     def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
-        finest, (most, squares) = self.levels[0], self._rows
+        finest = self.levels[0]
         if finest.points is not None:
             load = np.zeros(d.shape) if load is None else load.copy()
             finest.add_points(d, None, load, -1.0)
-        given = (flat(d), 0.0) if load is None else (flat(load), 1.0)
-        elastic_exact.balance(
-            flat(d),
-            *given,
-            *self._exact,
-            self._where(finest.reach),
-            flat(finest.moving),
-            finest.layout.rows[0],
-            self._exact_shape,
-            1 / unit,
-            flat(self._rest),
-            most,
-            squares,
-            finest.parts,
+        found: tuple[float, float] = self._loops.balance(
+            finest, self._exact, d, load, 1 / unit, self._rest
         )
-        return float(most.max()), math.sqrt(squares.sum())
-
-    def pull(self, d: Planes, low: Planes | None = None) -> Planes:
-        """Return -A d at all components, in double precision; valid until the next call."""
-        about = self._exact[0], self._exact_shape, self._where(), flat(self._pull)
-        elastic_exact.pull(flat(d), *about, self.levels[0].parts)
-        self.levels[0].add_data(d, None, self._pull, -1.0)
-        return self._pull if low is None else self._pull.copy() + self.pull(low)
-
-    @cached_property
-    def _pull(self) -> Planes:
-        """Output of `pull`, allocated only for tissue that may slip."""
-        return np.zeros(self._exact_lame.shape)
+        return found
 
     @property
-    def _exact(self) -> tuple[Values, Values | None]:
-        """Lame parameters and data term in double precision, for the kernels."""
-        data = self.levels[0].exact_data
-        return flat(self._exact_lame), None if data is None else flat(data)
+    def double_level(self) -> DoubleLevel | None:
+        """Finest level for an iteration in double precision; None in images, which factorize."""
+        finest = self.levels[0]
+        return DoubleLevel(finest, self._exact) if finest.is_volume else None
 
-    def _where(self, spans: Table | None = None) -> tuple[Table, Table, int]:
-        """Table of rows of planes, spans or all columns, and width of a padded row."""
-        starts, _, columns = whole_rows(self._exact_lame.shape[1:])
-        return starts, columns[PAD:-PAD] if spans is None else spans, self._exact_lame.shape[2]
+    def pull(self, d: Planes, low: Planes | None = None) -> Planes:
+        """Return -A d at all components, in double precision."""
+        finest, out = self.levels[0], np.zeros(d.shape)
+        self._loops.pull(finest, self._exact, d, out)
+        finest.add_data(d, None, out, -1.0)
+        return out if low is None else out + self.pull(low)
 
     def work(self, d: Planes) -> tuple[float, float]:
         """Return the elastic energy and the norm of the forces."""
-        finest, (products, squares) = self.levels[0], self._rows
-        about = *self._exact, self._exact_shape, self._where()
-        elastic_exact.work(flat(d), *about, products, squares, finest.parts)
-        if finest.points is not None:
+        if self.levels[0].points is not None:
             forces = self.pull(d)
             return -float((forces * d).sum()) / 2, float(np.linalg.norm(forces))
-        return float(products.sum()) / 2, math.sqrt(squares.sum())
+        product, square = self._loops.work(self.levels[0], self._exact, d)
+        return product / 2, math.sqrt(square)
 
     @property
     def steepness(self) -> Planes:
         """Diagonal of the stiffness matrix, as planes."""
-        out = np.zeros(self._exact_lame.shape)
-        starts, _, columns = whole_rows(out.shape[1:])
-        assembly.diagonal(self._exact[0], starts, columns, self._exact_shape, flat(out))
+        out: Planes = self._loops.exact_diagonal(self.levels[0], self._exact)
         if self.material.data is not None:
             self.material.data.add_diagonal(out)
         return out
@@ -401,7 +324,7 @@ class CpuElasticModel(HostModel):
         _model.clear()
 
 
-_model: Kept[CpuElasticModel] = Kept()
+_model: Kept[CpuElasticModel] = Kept(is_large=True)
 
 
 def the_model(material: ElasticMaterial, whole: bool = True) -> CpuElasticModel:
@@ -414,5 +337,7 @@ def the_model(material: ElasticMaterial, whole: bool = True) -> CpuElasticModel:
         lambda last: last.fits(material, whole), lambda: CpuElasticModel(material, whole)
     )
     if model.material != material:
+        _model.clear()  # if the update is cancelled, the model is not kept
         model.assemble(material)
+        _model.value = model
     return model

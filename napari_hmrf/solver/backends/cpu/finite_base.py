@@ -86,6 +86,8 @@ class CpuFiniteModelBase:
         self.levels[0].hold(held, springs)
         for fine, coarse in pairs:
             coarse.hold_as(fine)
+        for level in self.levels:
+            level.start_cycles()
 
     def poses(self, held: HeldPlanes) -> Poses:
         """Return the poses of the bodies with their prescribed components."""

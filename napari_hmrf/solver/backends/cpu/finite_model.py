@@ -6,7 +6,7 @@ levels are averages. All linear models share the same memory.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -17,10 +17,9 @@ from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.solver.backends.cpu import finite_strain, finite_tangents, tangents
 from napari_hmrf.solver.backends.cpu.finite_base import CALM, CpuFiniteModelBase
 from napari_hmrf.solver.backends.cpu.forces import parts
-from napari_hmrf.solver.backends.cpu.level import Vector, paces_of
-from napari_hmrf.solver.backends.cpu.small_levels import SmallLevel, SmallLevels, divided
-from napari_hmrf.solver.backends.cpu.tangent_level import TangentLevelBase
-from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
+from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector
+from napari_hmrf.solver.backends.cpu.small_levels import SmallLevels, divided
+from napari_hmrf.solver.backends.linear import HeldPlanes, Planes
 from napari_hmrf.solver.backends.rigid.bodies import Bodies, rigid_elements
 from napari_hmrf.solver.coarse_levels import grids
 from napari_hmrf.solver.priors.elements import CYCLE_STAND_IN, lame_parameters
@@ -39,7 +38,7 @@ _CYCLED, _ALL, _OF_SOLID = int(tangents.PLANES), 21, 7
 _FIRMER = 20.0
 
 
-class TangentLevel(TangentLevelBase, SmallLevel):
+class TangentLevel(CpuLevel):
     """Level with tangents and springs; see `CpuLevel`.
 
     Attributes
@@ -53,42 +52,43 @@ class TangentLevel(TangentLevelBase, SmallLevel):
     def __init__(
         self,
         grid: tuple[int, ...],
-        memory: Iterator[Vector] | None = None,
+        memory: Mapping[str, Vector] | None = None,
         *,
         finest: bool = False,
         has_data: bool = False,
     ) -> None:
-        super().__init__(grid, memory)
-        self.pins = self.vector()
-        self.weight = None if finest else self.vector()
-        self._left = self.vector()
+        super().__init__(grid, finest, memory=memory)
         shape = self.inverse.shape[1:]
-        self.cycled = _planes(_CYCLED, shape) if memory is None else self.vector()
-        if memory is not None and has_data:
-            self.cycled, self.mixed = self.cycled[:_CYCLED], self.cycled[_CYCLED:]
-        self._memory = None
+        if memory is None:
+            self.cycled = _planes(_CYCLED, shape)
+        else:
+            self.cycled = memory["own"][:_CYCLED]
+            self.mixed = memory["own"][_CYCLED:] if has_data else None
+        if has_data:
+            self.allow_data()
         self.solved = _planes(_ALL, shape) if finest else None
-        self.spans = np.zeros((grid[0], 2), dtype=np.int64)
         self.parts = parts(grid[0])
 
-    def write_diagonal(self) -> None:
-        """Write the diagonal of the matrix for cycles to `inverse`."""
-        tangents.diagonal(self.cycled, self.inverse)
+    def write_diagonal(self, out: Vector) -> None:
+        """Write the diagonal of the matrix for cycles to `out`."""
+        tangents.diagonal(self.cycled, out)
 
-    def _relax_tissue(self, steps: Steps, from_zero: bool) -> None:
-        paces = paces_of(steps, from_zero)
-        if from_zero:
-            tangents.start(self.load, self.inverse, paces[0, 0], self.correction)
-            paces = paces[1:]
-        about = self.load, self.cycled, self.inverse, *self._springs
-        for pace in paces:
-            tangents.smooth(self.correction, *about, self._other, *pace, self.parts)
-            self.correction, self._other = self._other, self.correction
+    @property
+    def _system(self) -> tuple[Any, ...]:
+        """Load, tangents and springs, for the loops."""
+        return self.load, self.cycled, self.inverse, *self._springs
+
+    def _begin(self, paces: Vector) -> int:
+        tangents.start(self.load, self.inverse, paces[0, 0], self.correction)
+        return 1
+
+    def _smooth(self, paces: Vector) -> None:
+        (pace,) = paces
+        tangents.smooth(self.correction, *self._system, self._other, *pace, self.parts)
 
     def _write_rest(self) -> Vector:
-        about = self.load, self.cycled, self.inverse, *self._springs
-        tangents.rest(self.correction, *about, self._left, self.parts)
-        return self._left
+        tangents.rest(self.correction, *self._system, self._rest, self.parts)
+        return self._rest
 
     def apply(self, direction: Vector, image: Vector) -> float:
         """Compute ``image = A @ direction`` for the full system; return ``direction . image``."""
@@ -116,16 +116,16 @@ class CpuFiniteModel(CpuFiniteModelBase):
 
     def __init__(self, grid: tuple[int, ...], has_data: bool = False) -> None:
         large, little = divided(grids(grid))
-        self.levels = [TangentLevel(each, finest=number == 0) for number, each in enumerate(large)]
+        self.levels = [
+            TangentLevel(each, finest=number == 0, has_data=has_data)
+            for number, each in enumerate(large)
+        ]
         if little:
             level = partial(TangentLevel, has_data=has_data)
             cycle = tangents.data_cycle if has_data else tangents.cycle
             planes = int(tangents.DATA_PLANES if has_data else tangents.PLANES)
             self.levels += SmallLevels(little, planes, level, cycle).levels
         self.shape, self.has_data = grid, has_data
-        if has_data:
-            for level in self.levels:
-                level.allow_data()
         size = tuple(side + 4 for side in grid)
         self._solid: Planes = np.zeros((_OF_SOLID, *size))
         self._pull: Planes = np.zeros((2, *size))

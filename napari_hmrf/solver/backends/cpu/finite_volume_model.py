@@ -21,11 +21,10 @@ from napari_hmrf.solver.backends.cpu import (
     volume,
 )
 from napari_hmrf.solver.backends.cpu.finite_base import CALM, CpuFiniteModelBase
-from napari_hmrf.solver.backends.cpu.level import Vector, paces_of, rows
-from napari_hmrf.solver.backends.cpu.tangent_level import TangentLevelBase
+from napari_hmrf.solver.backends.cpu.layout import rows
+from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector
 from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
-from napari_hmrf.solver.backends.cpu.volume_model import VolumeLevel
-from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
+from napari_hmrf.solver.backends.linear import HeldPlanes, Planes
 from napari_hmrf.solver.backends.rigid.bodies import Bodies
 from napari_hmrf.solver.coarse_levels import grids
 from napari_hmrf.solver.priors.elements import CYCLE_STAND_IN, lame_ratio
@@ -40,7 +39,7 @@ _UPPER = (0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)
 _SLAB = 16
 
 
-class BrickLevel(TangentLevelBase, VolumeLevel):
+class BrickLevel(CpuLevel):
     """Tangents and springs of one level; see `CpuLevel`.
 
     Parameters
@@ -49,42 +48,47 @@ class BrickLevel(TangentLevelBase, VolumeLevel):
         Grid of the level, (D, H, W).
     finest : bool
         True for the finest level, whose `apply` uses the exact second derivatives.
+    has_data : bool
+        True for a problem with a data term.
 
     Attributes
     ----------
     tangent : ndarray, shape (13, D + 4, H + 4, W + 4)
         Numbers of each element; see `brick_tangents`.
+    shape : ndarray
+        Constants of the loops for the shape of a voxel.
     exact : SecondDerivatives or None
         Second derivatives of the solved system; None on coarser levels.
     """
 
     sums_up = True
+    shape: Vector
 
-    def __init__(self, grid: tuple[int, ...], finest: bool) -> None:
+    def __init__(self, grid: tuple[int, ...], finest: bool, has_data: bool) -> None:
         super().__init__(grid, finest)
+        self.steps_at_once = 1
         self.tangent = padded(int(brick_tangents.PLANES), grid)
-        self._image = self.vector()
         self.exact: SecondDerivatives | None = None
+        if has_data:
+            self.allow_data()
 
-    def write_diagonal(self) -> None:
-        """Write the diagonal of the matrix for cycles to `inverse`."""
-        brick_tangents.diagonal(self.tangent, self.shape, self.inverse)
+    def write_diagonal(self, out: Vector) -> None:
+        """Write the diagonal of the matrix for cycles to `out`."""
+        brick_tangents.diagonal(self.tangent, self.shape, out)
         if self.exact is not None:
-            bernstein.add_diagonals(self.exact.walled, self.exact.safe_walls, self.inverse)
+            bernstein.add_diagonals(self.exact.walled, self.exact.safe_walls, out)
 
-    def _relax_tissue(self, steps: Steps, from_zero: bool) -> None:
-        paces = paces_of(steps, from_zero)
-        if from_zero:
-            load, inverse, correction = map(rows, (self.load, self.inverse, self.correction))
-            volume.start(load, inverse, None, correction, paces[0, 0])
-            paces = paces[1:]
+    def _begin(self, paces: Vector) -> int:
+        load, inverse, correction = map(rows, (self.load, self.inverse, self.correction))
+        volume.start(load, inverse, None, correction, paces[0, 0])
+        return 1
+
+    def _smooth(self, paces: Vector) -> None:
+        (pace,) = paces
         weight, springs = self._springs
-        for pace in paces:
-            self._apply_simply(self.correction, self._image)
-            arrays = map(rows, (self.correction, self.load, self._image, self.inverse, weight))
-            brick_tangents.smooth(*arrays, springs, rows(self._other), *pace)
-            self.correction, self._other = self._other, self.correction
-            compute_thread.check_cancelled()
+        self._apply_simply(self.correction, self._rest)
+        arrays = map(rows, (self.correction, self.load, self._rest, self.inverse, weight))
+        brick_tangents.smooth(*arrays, springs, rows(self._other), *pace)
 
     def _apply_simply(self, d: Vector, image: Vector) -> None:
         """Compute the product of the matrix for cycles, without springs, and a displacement."""
@@ -94,11 +98,11 @@ class BrickLevel(TangentLevelBase, VolumeLevel):
 
     def _write_rest(self) -> Vector:
         weight, springs = self._springs
-        self._apply_simply(self.correction, self._image)
-        about = map(rows, (self._image, self.inverse, weight))
+        self._apply_simply(self.correction, self._rest)
+        about = map(rows, (self._rest, self.inverse, weight))
         arrays = rows(self.correction), rows(self.load), np.float32(1)
-        brick_tangents.rest(*arrays, *about, springs, np.float32(1), rows(self._image))
-        return self._image
+        brick_tangents.rest(*arrays, *about, springs, np.float32(1), rows(self._rest))
+        return self._rest
 
     def apply(self, direction: Vector, image: Vector) -> float:
         """Compute ``image = A @ direction`` for the solved system; return their product."""
@@ -197,12 +201,9 @@ class CpuFiniteVolumeModel(CpuFiniteModelBase):
 
     def __init__(self, grid: tuple[int, ...], has_data: bool = False) -> None:
         self.levels: list[BrickLevel] = [
-            BrickLevel(each, number == 0) for number, each in enumerate(grids(grid))
+            BrickLevel(each, number == 0, has_data) for number, each in enumerate(grids(grid))
         ]
         self.shape, self.has_data = grid, has_data
-        if has_data:
-            for level in self.levels:
-                level.allow_data()
         self._pull: Planes = np.zeros((3, *(size + 2 * PAD for size in grid)))
         self._energies, self._least = np.zeros((2, grid[0]))
         self._no_elements: Planes = np.zeros((0, 0, 0))
@@ -270,7 +271,6 @@ class CpuFiniteVolumeModel(CpuFiniteModelBase):
         for plane in finest.tangent[9:12]:
             plane[at] = 0
         self._hold(held, springs)
-        self.clear()
 
     def length(
         self, d: Planes, way: Planes, part: float, floor: float, each: bool = False

@@ -152,6 +152,11 @@ def flat(vector: Values) -> Values:
     return vector.reshape(len(vector), -1)
 
 
+def rows(planes: Values) -> Values:
+    """Return a view of planes with shape (C, R, W + 4); R counts the padded rows of all slices."""
+    return planes.reshape(len(planes), -1, planes.shape[-1])
+
+
 def whole_starts(planes: tuple[int, ...]) -> Table:
     """Return the table of rows of planes with the given shape."""
     return Layout.whole(planes).starts

@@ -1,11 +1,12 @@
-"""Base class of the levels on the processor: the part that does not depend on the model.
+"""Level on the processor: all of it that does not depend on the model.
 
 Scalars are plain Python numbers, because the processor is the host.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Callable, Mapping
 from functools import cached_property, lru_cache
 from typing import Any, Self
 
@@ -13,16 +14,19 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.compute.thread import compute_thread
+from napari_hmrf.solver.backends.base import BATCH_SECONDS
 from napari_hmrf.solver.backends.cpu import data_weights, vectors
-from napari_hmrf.solver.backends.cpu.layout import Layout, Table, flat, whole_rows
+from napari_hmrf.solver.backends.cpu.layout import Layout, Table, flat, rows, whole_rows
 from napari_hmrf.solver.backends.cpu.point_smoother import PointSmoother
-from napari_hmrf.solver.backends.cpu.transfer import PAD
-from napari_hmrf.solver.backends.linear import HeldPlanes, Steps
+from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
+from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.solver.backends.rigid.bodies import Bodies
 from napari_hmrf.solver.coarse_levels import MOST_PINS, SPRING
 from napari_hmrf.solver.data_term import DataTerm, PointTerm
 
 _TINY = 1e-300
+# Approximate time of a smoothing step for one voxel on one thread, in seconds.
+_VOXEL_SECONDS = 20e-9
 # Coefficients (scale, ahead, back) of a step of size 1.
 _UNIT_STEP = np.array([1, 0, 0], dtype=np.float32)
 Vector = npt.NDArray[np.float32]
@@ -30,7 +34,10 @@ Spans = npt.NDArray[np.int64]
 
 
 class CpuLevel:
-    """Base class of the levels on the processor; `LinearLevel` documents the methods.
+    """Level on the processor; `LinearLevel` documents the methods.
+
+    A subclass holds the matrix of one model on this level, and calls its loops: `write_diagonal`,
+    `_begin`, `_smooth`, `_write_rest` and `apply`. All else is the same for all models.
 
     In a volume, arrays have shape (3, D + 4, H + 4, W + 4), and there is a span for each of its
     `rows`. If the layout stores only tissue, vectors have other shapes (`layout`).
@@ -39,10 +46,13 @@ class CpuLevel:
     ----------
     grid : tuple of int
         Grid of the level, (H, W) or (D, H, W).
-    memory : iterator, optional
-        Iterator over the memory of the first vectors; by default, new memory is allocated.
+    finest : bool
+        True for the finest level, which has no springs at first.
     layout : Layout, optional
         Layout of all vectors of the level; by default, that of planes.
+    memory : mapping of str to ndarray, optional
+        Memory of the arrays "inverse", "load", "correction", "other", "pins" and "weight"; that of
+        arrays that are not given is allocated.
 
     Attributes
     ----------
@@ -59,11 +69,10 @@ class CpuLevel:
         The same in double precision, without landmarks; only on the finest level.
     points : PointTerm or None
         Landmarks; only on the finest level. Cycles use a precision at the corners instead.
-    pins : ndarray, shape (2, H + 4, W + 4)
-        Prescribed components: 1 or 0 on the finest level, and a restricted count on coarser
-        levels.
-    spans : ndarray, shape (H, 2)
-        Start and stop column of the moving sites in each row.
+    reach : ndarray, shape (H + 4, 2) or (D + 4, H + 4, 2)
+        Start and stop column of the moving sites in each padded row.
+    spans : ndarray, shape (R - 4, 2)
+        View of `reach` as a list of all padded rows, without the first and the last two.
     """
 
     weight: Vector | None
@@ -75,10 +84,10 @@ class CpuLevel:
     point_smoother: PointSmoother | None = None
     #: Diagonal of the tissue's matrix, if residuals are restricted with the data term.
     diagonal: Vector | None = None
-    pins: Vector
-    spans: Spans
-    #: True if `finish` also visits all coarser levels.
-    finishes_cycle: bool = False
+    #: Cycle over this level and all coarser levels in a single call, if there is one.
+    cycle_to_coarsest: Callable[[Steps, Steps], Vector] | None = None
+    #: True if the loops of the model apply the blocks of the data term.
+    loops_apply_data: bool = False
     #: True if a second visit within a cycle is worth its cost.
     is_revisited: bool = True
     #: True if an iteration updates the displacement directly, to save memory in volumes.
@@ -89,25 +98,100 @@ class CpuLevel:
     def __init__(
         self,
         grid: tuple[int, ...],
-        memory: Iterator[Vector] | None = None,
+        finest: bool = False,
         layout: Layout | None = None,
+        memory: Mapping[str, Vector] | None = None,
     ) -> None:
-        self.grid = grid
+        self.grid, self.is_volume = grid, len(grid) == 3
+        #: `image_loops` or `volume_loops`.
+        self.loops = loops_of(len(grid))
+        #: Number of smoothing steps between two checks for cancellation.
+        self.steps_at_once = 1
+        if self.is_volume:
+            self.steps_at_once = max(1, int(BATCH_SECONDS / (_VOXEL_SECONDS * math.prod(grid))))
         planes = tuple(size + 2 * PAD for size in grid)
         self.layout = Layout.whole(planes) if layout is None else layout
-        self._memory = memory
         self._spare: list[Vector] = []
-        self.inverse = self.vector()
-        self.load, self.correction, self._other = (self.vector() for _ in range(3))
-        self._rows, self._most = np.zeros((2, rows(self.inverse).shape[1] - 2 * PAD))
+        given = {} if memory is None else memory
 
-    def _set_springs(self, finer: Self) -> None:
+        def array(name: str) -> Vector:
+            return given[name] if name in given else self.vector()
+
+        self.inverse, self.load = array("inverse"), array("load")
+        #: Result of the smoother, and the array with which it alternates. Memory is scarce in
+        #: volumes: outside of cycles, the second array also serves as `pins` and `scratch_vector`.
+        self.correction, self._other = array("correction"), array("other")
+        self.weight = None if finest else array("weight")
+        self._pins = given.get("pins")
+        if self._pins is None and not self.is_volume:
+            self._pins = padded(len(grid), grid)
+        self.reach: Spans = np.zeros((*planes[:-1], 2), dtype=np.int64)
+        self.spans: Spans = self.reach.reshape(-1, 2)[PAD:-PAD]
+        self._written_spans = self.spans.copy()
+        self._rows, self._most = np.zeros((2, rows(self.inverse).shape[1] - 2 * PAD))
+        if self.is_volume and memory is None:
+            # The operating system allocates memory at the first write, which is slow. Write to the
+            # arrays one by one, so that the solve can be cancelled between two arrays.
+            for component in (*self.inverse, *self.correction, *self._other):
+                component.fill(0)
+                compute_thread.check_cancelled()
+
+    @property
+    def pins(self) -> Vector:
+        """Prescribed components: 1 or 0, and a restricted count on coarser levels.
+
+        In images, they are planes of their own. In volumes, they are for the next coarser level
+        only, which reads them once, and `start_cycles` clears them.
+        """
+        return self._other if self._pins is None else self._pins
+
+    @property
+    def finishes_cycle(self) -> bool:
+        """True if `finish` also visits all coarser levels."""
+        return self.cycle_to_coarsest is not None
+
+    def write_diagonal(self, out: Vector) -> None:
+        """Write the diagonal of the matrix, without springs and data, to `out`."""
+        raise NotImplementedError
+
+    def _write_diagonals(self) -> None:
+        """Write the diagonal to `inverse`, and to `diagonal` if it is still read after that."""
+        self.write_diagonal(self.inverse)
+        if self.diagonal is not None:
+            np.copyto(self.diagonal, self.inverse)
+
+    def hold(self, held: HeldPlanes, springs: Planes | None = None) -> None:
+        """Set the prescribed components of the finest level.
+
+        Parameters
+        ----------
+        held : ndarray of bool, planes
+        springs : ndarray, planes, optional
+            Values added to the diagonal.
+        """
+        self._write_diagonals()
+        compute_thread.check_cancelled()
+        weight = None if springs is None else springs.astype(np.float32)
+        if weight is not None:
+            np.add(self.inverse, weight, out=self.inverse, where=self.inverse > 0)
+        self._hold(held, self.inverse, self.spans)
+        if weight is not None:
+            np.add(self.pins, weight * self.inverse, out=self.pins)
+        if self.data is None:
+            self.weight = weight
+            return
+        assert self.weight is not None
+        self.weight[...] = 0 if weight is None else weight
+        self._couple()
+
+    def hold_as(self, finer: Self) -> None:
         """Set the springs of sites near prescribed sites of the next finer level.
 
-        On entry, `inverse` is the diagonal D; on return, it is the reciprocal of D with springs.
+        The diagonal is replaced with its reciprocal, including the springs.
         """
+        self._write_diagonals()
         assert self.weight is not None
-        self._restrict_pins(finer)
+        finer._restrict(finer.pins, self, self.pins)
         starts, _, tissue = self.layout.rows
         vectors.spring(
             flat(self.inverse),
@@ -122,6 +206,18 @@ class CpuLevel:
         )
         self._couple()
 
+    def start_cycles(self) -> None:
+        """Clear the corrections if they have held pins, or if the spans have shrunk.
+
+        To be called on each level once all levels are constrained. Loops write only within the
+        spans, and expect zeros elsewhere.
+        """
+        before = self._written_spans
+        shrunk = (self.spans[:, 0] > before[:, 0]).any() or (self.spans[:, 1] < before[:, 1]).any()
+        if shrunk or self._pins is None:
+            self.clear()
+        np.copyto(before, self.spans)
+
     def _hold(self, held: HeldPlanes, inverse: Vector, spans: Spans) -> None:
         """Replace a diagonal with its reciprocal, or 0 where `held` is True, and set the pins."""
         starts, _, tissue = self.layout.rows
@@ -133,16 +229,23 @@ class CpuLevel:
         layout = self.layout
         return (whole_rows(layout.planes) if values.shape[1:] == layout.planes else layout.rows)[0]
 
-    def _restrict_pins(self, finer: Self) -> None:
-        """Restrict the pins of the next finer level to this level."""
-        finer._restrict(finer.pins, self, self.pins)
+    def allow_data(self) -> None:
+        """Allocate the arrays of a data term."""
+        axes = len(self.grid)
+        count = axes * (axes - 1) // 2
+        self.data = self.layout.vector(axes + count)
+        self.mixed = self.layout.vector(2 * count) if self.mixed is None else self.mixed
+        self.weight = self.vector() if self.weight is None else self.weight
+        if not self.loops_apply_data:
+            self.diagonal = self.vector()
 
     def set_data(self, data: DataTerm) -> None:
-        """Set the data term of the finest level; `inverse` is the diagonal of the tissue."""
+        """Set the data term of the finest level."""
         assert self.data is not None
         self.exact_data, self.points = data.weights, data.points
         np.copyto(self.data, data.weights, casting="same_kind")
-        self.diagonal = None if data.points is None else self.inverse.copy()
+        if self.loops_apply_data:
+            self.diagonal = None if data.points is None else self.vector()
 
     def _coarsened_data(self) -> Vector:
         """Return the tensors for the next coarser level, with those of landmarks at the corners."""
@@ -158,8 +261,9 @@ class CpuLevel:
         flat[: len(sums), at] += (sums * mean / np.maximum(sums + mean, _TINY)).astype(np.float32)
         return data
 
-    def _restrict_data(self, coarse: Self) -> None:
-        """Compute the tensors of the next coarser level, with `inverse` as the diagonal."""
+    def coarsen_data(self, coarse: Self) -> None:
+        """Compute the tensors of the data term on the next coarser level."""
+        self.write_diagonal(self.inverse)
         assert self.weight is not None
         assert self.mixed is not None
         assert coarse.data is not None
@@ -169,13 +273,6 @@ class CpuLevel:
         data_weights.limit(*map(rows, arrays))
         self._restrict(self.weight, coarse, coarse.data[:axes])
         self._restrict(self.mixed, coarse, coarse.data[axes:])
-
-    def _hold_data(self) -> None:
-        """Make the data term the only springs of the finest level, if there is a data term."""
-        if self.data is not None:
-            assert self.weight is not None
-            self.weight.fill(0)
-            self._couple()
 
     def _couple(self) -> None:
         """Add the data term to the springs and to the smoother, if there is one."""
@@ -223,58 +320,62 @@ class CpuLevel:
             flat[:, at] = np.where(fixed[:, at], 0, flat[:, at])
         return float((forces * moved).sum())
 
-    @cached_property
-    def _rest(self) -> Vector:
-        """Residual, for models that compute the residual and its restriction in two kernels."""
-        return self.vector()
-
-    @cached_property
-    def _step(self) -> Vector:
-        """Latest Chebyshev step, for models with kernels that store the step."""
-        return self.vector()
-
-    def _smooth(self, scale: np.float32, momentum: np.float32) -> None:
-        """Compute one Chebyshev step from `correction` to `_other` and store it in `_step`."""
-        raise NotImplementedError
-
-    def _compute_residual(self) -> None:
-        """Write the residual of the correction to `_rest`."""
-        raise NotImplementedError
-
-    def _restrict_residual(self, coarse: Self) -> None:
-        """Restrict the residual of the correction to the load of `coarse`."""
-        self._compute_residual()
-        self._restrict(self._rest, coarse, coarse.load)
+    @property
+    def where(self) -> tuple[Table, Spans, int]:
+        """Table of rows, spans of the moving sites and width of a padded row, for the loops."""
+        spans = self.reach if self.is_volume else self.spans
+        return self.layout.starts, spans, self.layout.planes[-1]
 
     def _restrict(self, forces: Vector, coarse: Self, out: Vector) -> None:
         """Restrict forces on this level to `out`, a vector of the next coarser level."""
-        vectors.restrict(forces, out)
+        self.loops.restrict(self, forces, coarse, out)
 
-    def _interpolate(self, coarse: Self) -> None:
-        """Add the interpolated correction of the next coarser level to the free components."""
-        vectors.interpolate(coarse.correction, self.correction, self.inverse)
+    @cached_property
+    def _rest(self) -> Vector:
+        """Memory for a residual beside the correction and the array with which it alternates."""
+        return self.vector()
 
-    def _add_relaxed(self, coarse: Self, out: Vector) -> None:
-        """Add the interpolated correction, filtered for the data term (`data_weights`)."""
-        assert self.weight is not None
-        assert self.mixed is not None
-        data_weights.add_relaxed(coarse.correction, self.inverse, self.weight, self.mixed, out)
+    def _write_rest(self) -> Vector:
+        """Return the residual of the correction; valid until the next smoothing step."""
+        raise NotImplementedError
+
+    @property
+    def _adds_data(self) -> bool:
+        """True if data or landmarks are added to each step of the model's loops."""
+        has_data = self.data is not None and not self.loops_apply_data
+        return has_data or self.point_smoother is not None
+
+    def _restrict_residual(self, coarse: Self) -> None:
+        """Restrict the residual of the correction to the load of `coarse`."""
+        if self._adds_data:
+            self._restrict_with_data(coarse)
+        else:
+            self._leave(coarse)
+
+    def _leave(self, coarse: Self) -> None:
+        """Restrict the residual by the model's loops alone."""
+        self._restrict(self._write_rest(), coarse, coarse.load)
 
     def _add_coarse(self, coarse: Self) -> None:
         """Add the interpolated correction of the next coarser level, filtered if there are data."""
         if self.mixed is None:
-            self._interpolate(coarse)
+            self.loops.interpolate(self, coarse)
             return
         smoother = self.point_smoother
         out = self.correction if smoother is None else np.zeros_like(self.correction)
-        self._add_relaxed(coarse, out)
+        self.loops.add_relaxed(self, coarse, out)
         if smoother is not None:
             smoother.subtract(smoother.moved(out), out)
             self.correction += out
 
     def _step_simply(self, pace: Vector) -> None:
-        """Compute one Chebyshev step (scale, ahead, back) from `correction` to `_other`."""
-        raise NotImplementedError
+        """Compute one Chebyshev step, without landmarks, from `correction` to `_other`."""
+        if self.loops_apply_data:
+            self._smooth(pace[None])
+            return
+        assert self.mixed is not None
+        arrays = self.correction, self._write_rest(), self.inverse, self.mixed, self._other
+        data_weights.smooth(*map(rows, arrays), *pace)
 
     def _step_with_data(self, pace: Vector) -> None:
         """Compute one Chebyshev step, with any landmarks, from `correction` to `_other`."""
@@ -305,6 +406,14 @@ class CpuLevel:
         self._other *= self.diagonal
         self._restrict(self._other, coarse, coarse.load)
 
+    def _add_data_image(self, direction: Vector, image: Vector) -> float:
+        """Add the rest of W d to an image with the diagonal of W; return ``direction . image``."""
+        assert self.mixed is not None
+        arrays = direction, self.mixed, self.inverse, image
+        data_weights.add_mixed(*map(rows, arrays))
+        self.add_points(direction, self.inverse, image)
+        return self.product(direction, image)
+
     def apply(self, direction: Vector, image: Vector) -> float:
         """Compute ``image = A @ direction``; return ``direction . image``."""
         raise NotImplementedError
@@ -316,8 +425,11 @@ class CpuLevel:
             self._restrict_residual(coarse)
 
     def finish(self, steps: Steps, coarsest: Steps) -> None:
-        """Smooth from zero with the steps `coarsest`."""
-        self.descend(coarsest, None)
+        """Compute the correction, on all coarser levels in a single call if that is possible."""
+        if self.cycle_to_coarsest is None:
+            self.descend(coarsest, None)
+        else:
+            self.correction = self.cycle_to_coarsest(steps, coarsest)
 
     def ascend(self, steps: Steps, coarse: Self) -> None:
         """Add the interpolated coarse correction, then smooth."""
@@ -326,14 +438,26 @@ class CpuLevel:
 
     def relax(self, steps: Steps, from_zero: bool) -> None:
         """Run Chebyshev-Jacobi steps on `correction` for `load`."""
-        for number, (scale, momentum) in enumerate(steps):
-            if from_zero and number == 0:
-                vectors.smooth_first(
-                    self.load, self.inverse, self._step, self.correction, np.float32(scale)
-                )
-                continue
-            self._smooth(np.float32(scale), np.float32(momentum))
-            self.correction, self._other = self._other, self.correction
+        if self._adds_data:
+            self._relax_with_data(steps, from_zero)
+            return
+        paces = paces_of(steps, from_zero)
+        if from_zero:
+            paces = paces[self._begin(paces) :]
+        for first in range(0, len(paces), self.steps_at_once):
+            some = paces[first : first + self.steps_at_once]
+            self._smooth(some)
+            if len(some) % 2 == 1:
+                self.correction, self._other = self._other, self.correction
+            compute_thread.check_cancelled()
+
+    def _begin(self, paces: Vector) -> int:
+        """Run the first steps from zero, to `correction`; return their number."""
+        raise NotImplementedError
+
+    def _smooth(self, paces: Vector) -> None:
+        """Run Chebyshev steps (scale, ahead, back), alternating `correction` and `_other`."""
+        raise NotImplementedError
 
     def clear(self) -> None:
         """Set the correction and its second array to zero."""
@@ -347,8 +471,6 @@ class CpuLevel:
         if values is not None:
             is_planes = values.shape[1:] == self.layout.planes
             return self.layout.packed(values) if is_planes else values
-        if self._memory is not None:
-            return next(self._memory)
         if not self._spare:
             return self.layout.vector()
         vector = self._spare.pop()
@@ -357,11 +479,12 @@ class CpuLevel:
 
     def scratch_vector(self) -> Vector:
         """Return a vector that is valid until the next cycle."""
-        return self.vector()
+        return self._other if self.is_volume else self.vector()
 
     def free(self, *vectors: Vector) -> None:
-        """Store vectors for reuse, because allocation takes longer than clearing a vector."""
-        self._spare += vectors
+        """Store vectors of images for reuse; allocation takes longer than clearing a vector."""
+        if not self.is_volume:
+            self._spare += vectors
 
     def planes(self, vector: Vector) -> Vector:
         """Return a vector as planes."""
@@ -430,7 +553,7 @@ class CpuLevel:
         """Compute ``direction = rest + share * (direction - stride * image)``."""
         arrays = [rows(each) for each in (rest, direction, image)]
         shares = direction.dtype.type(share), direction.dtype.type(stride)
-        if len(self.grid) == 2:
+        if not self.is_volume:
             vectors.lean(*arrays, *shares)
             return
         for component in range(len(direction)):
@@ -442,9 +565,15 @@ class CpuLevel:
         return scalars
 
 
-def rows(planes: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return a view of planes with shape (C, R, W + 4); R counts the padded rows of all slices."""
-    return planes.reshape(len(planes), -1, planes.shape[-1])
+def loops_of(axes: int) -> Any:
+    """Return the module with the loops of images or of volumes, which have the same functions."""
+    if axes == 3:
+        from napari_hmrf.solver.backends.cpu import volume_loops  # heavy: the loops of volumes
+
+        return volume_loops
+    from napari_hmrf.solver.backends.cpu import image_loops  # heavy: the loops of images
+
+    return image_loops
 
 
 @lru_cache(maxsize=16)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import ClassVar, Self
 
 import numba
@@ -10,9 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.compute.workspace import Kept
-from napari_hmrf.solver.backends.cpu import kernels, seiler
-from napari_hmrf.solver.backends.cpu.level import CpuLevel, Spans, Vector, all_sites, rows
-from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
+from napari_hmrf.solver.backends.cpu import kernels, seiler, vectors
+from napari_hmrf.solver.backends.cpu.layout import rows
+from napari_hmrf.solver.backends.cpu.level import CpuLevel, Spans, Vector, all_sites
+from napari_hmrf.solver.backends.cpu.transfer import padded
 from napari_hmrf.solver.backends.host_model import HostModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.solver.backends.planes import inside
@@ -45,14 +47,11 @@ class CpuSeilerLevel(CpuLevel):
     def __init__(
         self, grid: tuple[int, ...], lines: Vector, square: bool, blanket: bool, finest: bool
     ) -> None:
-        super().__init__(grid)
+        super().__init__(grid, finest)
         self.lines, self.blanket = None if square else lines, blanket or None
         self._lines = lines
         self.stiffness, self.even = padded(2, grid), padded(1, grid)[0]
-        self.pins, self._diagonal = self.vector(), self.vector()
-        self.weight = None if finest else self.vector()
-        self.threads = 1
-        self.spans: Spans = np.zeros((rows(self.inverse).shape[1] - 2 * PAD, 2), dtype=np.int64)
+        self._diagonal, self.threads = self.vector(), 1
 
     def coarsen(self, finer: CpuSeilerLevel) -> None:
         """Compute the stiffness from the next finer level."""
@@ -80,19 +79,14 @@ class CpuSeilerLevel(CpuLevel):
         self.pull(d, stiffness, lines, spans, out)
         return float(totals.sum())
 
-    def hold(self, held: HeldPlanes) -> None:
-        """Set the prescribed components of the finest level."""
-        self.inverse[...] = self._diagonal
-        # Sites without cliques are also fixed.
-        alone = (self.stiffness[0] > 0) & (self._diagonal == 0)
-        self._hold(held | alone, self.inverse, self.spans)
-        self._clear_vectors()
+    def write_diagonal(self, out: Vector) -> None:
+        """Copy the diagonal to `out`."""
+        np.copyto(out, self._diagonal)
 
-    def hold_as(self, finer: CpuSeilerLevel) -> None:
-        """Set the springs of sites near prescribed sites of the next finer level."""
-        self.inverse[...] = self._diagonal
-        self._set_springs(finer)
-        self._clear_vectors()
+    def hold(self, held: HeldPlanes, springs: Planes | None = None) -> None:
+        """Set the prescribed components of the finest level; sites without cliques are fixed."""
+        alone = (self.stiffness[0] > 0) & (self._diagonal == 0)
+        super().hold(held | alone, springs)
 
     def descend(self, steps: Steps, coarse: Self | None, again: bool = False) -> None:
         """Smooth from zero, or continue if `again`; restrict the residual to `coarse.load`.
@@ -113,12 +107,24 @@ class CpuSeilerLevel(CpuLevel):
         numba.set_num_threads(self.threads)
         super().ascend(steps, coarse)
 
-    def _clear_vectors(self) -> None:
-        """Clear all vectors, because kernels write only within the spans."""
-        for vector in (self.correction, self._other, self._step, self._rest):
+    def clear(self) -> None:
+        """Set the correction and all arrays of the smoother to zero."""
+        super().clear()
+        for vector in (self._step, self._rest):
             vector.fill(0)
 
-    def _smooth(self, scale: np.float32, momentum: np.float32) -> None:
+    @cached_property
+    def _step(self) -> Vector:
+        """Latest Chebyshev step."""
+        return self.vector()
+
+    def _begin(self, paces: Vector) -> int:
+        arrays = self.load, self.inverse, self._step, self.correction
+        vectors.smooth_first(*arrays, paces[0, 0])
+        return 1
+
+    def _smooth(self, paces: Vector) -> None:
+        ((scale, momentum, _),) = paces
         seiler.smooth(
             self.correction,
             self.load,
@@ -134,8 +140,9 @@ class CpuSeilerLevel(CpuLevel):
             momentum,
         )
 
-    def _compute_residual(self) -> None:
+    def _write_rest(self) -> Vector:
         self._residual(self.correction, (self.load, 1), self._springs, (1, self._rest), _NO_ROWS)
+        return self._rest
 
     def apply(self, direction: Vector, image: Vector) -> float:
         """Compute ``image = A @ direction``; return ``direction . image``."""
@@ -228,6 +235,10 @@ class CpuSeilerModel(HostModel):
             level.threads = 1 if math.prod(level.grid) < _SMALL else threads
         self._pull.fill(0)
         super().hold(held)
+
+    def _start_cycles(self) -> None:
+        for level in self.levels:
+            level.start_cycles()
 
     def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
         finest, pulls = self.levels[0], self._pull

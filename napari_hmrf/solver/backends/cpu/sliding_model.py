@@ -30,7 +30,6 @@ from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.solver.backends.cpu.elastic_model import CpuElasticModel
 from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector
-from napari_hmrf.solver.backends.cpu.volume_model import CpuVolumeModel
 from napari_hmrf.solver.backends.host_model import HostModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.solver.backends.planes import inside, planes
@@ -49,7 +48,6 @@ _DAMPING = 0.75
 #: part's own sites: 400 takes half as many cycles as 40 where a body touches an interface.
 _STAND_IN = 400.0
 
-_Model = CpuElasticModel | CpuVolumeModel
 Values = npt.NDArray[Any]
 
 
@@ -64,8 +62,7 @@ class _Component:
     """
 
     def __init__(self, material: ElasticMaterial, scale: float) -> None:
-        volume = material.m.ndim == 3
-        self.model: _Model = CpuVolumeModel(material) if volume else CpuElasticModel(material)
+        self.model = CpuElasticModel(material)
         self.scale = scale
         self.cycle = Cycle(self.model, smoothing_of(material))
         shape = (material.m.ndim, *(size + 4 for size in material.m.shape))
@@ -107,7 +104,7 @@ class SlidingLevel(CpuLevel):
         coupling: Coupling,
         unit: float,
     ) -> None:
-        super().__init__(grid)
+        super().__init__(grid, finest=True)
         self._parts, self._whole = parts, whole
         self._coupling = coupling
         padded = tuple(size + 4 for size in grid)
@@ -120,7 +117,7 @@ class SlidingLevel(CpuLevel):
         self._strength = coupling.strength / unit
         self._image, self._sum = self.vector(), self.vector()
 
-    def hold(self, held: HeldPlanes) -> None:
+    def hold(self, held: HeldPlanes, springs: Planes | None = None) -> None:
         """Set the prescribed components of all models."""
         free = np.zeros(held.shape, np.bool_)
         for part in self._parts:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from napari_hmrf.solver.backends.cpu import small_cycle
-from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector, paces_of
+from napari_hmrf.solver.backends.cpu.level import Vector, paces_of
 from napari_hmrf.solver.backends.linear import Steps
 
 Grids = Sequence[tuple[int, ...]]
@@ -20,34 +19,15 @@ _SMALL, _LARGE = 8000, 2
 
 
 def divided(grids: Grids) -> tuple[Grids, Grids]:
-    """Split a list of grids, finest first, into grids of large levels and of small levels."""
+    """Split a list of grids, finest first, into grids of large levels and of small levels.
+
+    All levels of a volume are large.
+    """
+    if len(grids[0]) == 3:
+        return grids, []
     few = next((k for k, (height, width) in enumerate(grids) if height * width < _SMALL), 0)
     large = max(few, _LARGE)
     return grids[:large], grids[large:]
-
-
-class SmallLevel(CpuLevel):
-    """Level that may be the finest of the small levels.
-
-    Attributes
-    ----------
-    together : SmallLevels or None
-        All small levels if this level is the finest small level, otherwise None.
-    """
-
-    together: SmallLevels | None = None
-
-    @property
-    def spare_correction(self) -> Vector:
-        """Second array of `relax`, which alternates with `correction`."""
-        return self._other
-
-    def finish(self, steps: Steps, coarsest: Steps) -> None:
-        """Compute the correction, using all coarser levels if there are any."""
-        if self.together is None:
-            super().finish(steps, coarsest)
-        else:
-            self.correction = self.together.cycle(steps, coarsest)
 
 
 class SmallLevels:
@@ -60,8 +40,8 @@ class SmallLevels:
     planes : int
         Number of model planes per level.
     level : callable
-        Function that returns a level for a grid and an iterator over its arrays, in the order of
-        `small_cycle`.
+        Function that returns a level for a grid and its memory: arrays by name, including the
+        model planes "own".
     cycle : callable
         V-cycle: ``cycle(values, table, down, up, coarsest)``.
     """
@@ -70,7 +50,7 @@ class SmallLevels:
         self,
         grids: Grids,
         planes: int,
-        level: Callable[[tuple[int, ...], Iterator[Vector]], Any],
+        level: Callable[[tuple[int, ...], Mapping[str, Vector]], Any],
         cycle: Callable[..., None],
     ) -> None:
         self._grids, self._planes, self._level, self._cycle = grids, planes, level, cycle
@@ -79,14 +59,13 @@ class SmallLevels:
         starts = np.cumsum([0, *((arrays + planes) * height * width for height, width in shapes)])
         self._values: Vector = np.zeros(starts[-1], dtype=np.float32)
         self._table = np.array([(*grid, start) for grid, start in zip(grids, starts, strict=False)])
-        self.levels = []
+        self.levels, memories = [], []
         for grid, shape, start in zip(grids, shapes, starts, strict=False):
             size = (arrays + planes) * shape[0] * shape[1]
-            values = self._values[start : start + size].reshape(-1, *shape)
-            self.levels.append(level(grid, _arrays(values, arrays)))
-        first = self.levels[0]
-        self._pair = first.correction, first.spare_correction
-        first.together, first.finishes_cycle = self, True
+            memories.append(_memory(self._values[start : start + size].reshape(-1, *shape)))
+            self.levels.append(level(grid, memories[-1]))
+        self._pair = memories[0]["correction"], memories[0]["other"]
+        self.levels[0].cycle_to_coarsest = self.cycle
 
     def copy(self) -> SmallLevels:
         """Return a copy of all levels."""
@@ -108,8 +87,15 @@ class SmallLevels:
         return found
 
 
-def _arrays(values: npt.NDArray[np.float32], shared: int) -> Iterator[Vector]:
-    """Yield a level's arrays with two planes each, then the planes of its model."""
-    for number in range(0, shared, 2):
-        yield values[number : number + 2]
-    yield values[shared:]
+def _memory(values: Vector) -> dict[str, Vector]:
+    """Return the arrays of a level by name, at the places where `small_cycle` finds them."""
+    places = {
+        "inverse": small_cycle.INVERSE,
+        "load": small_cycle.LOAD,
+        "correction": small_cycle.CORRECTION,
+        "other": small_cycle.OTHER,
+        "pins": small_cycle.PINS,
+        "weight": small_cycle.WEIGHT,
+    }
+    memory = {name: values[2 * place : 2 * place + 2] for name, place in places.items()}
+    return {**memory, "own": values[2 * small_cycle.MODEL :]}

@@ -10,18 +10,17 @@ from napari_hmrf.solver.backends.cpu import (
     vectors,
     volume,
     volume_seiler,
-    volume_transfer,
 )
-from napari_hmrf.solver.backends.cpu.level import (
-    Spans,
-    Vector,
-    all_sites,
-    paces_of,
-    rows,
+from napari_hmrf.solver.backends.cpu.layout import rows
+from napari_hmrf.solver.backends.cpu.level import CpuLevel, Spans, Vector, all_sites
+from napari_hmrf.solver.backends.cpu.seiler_model import (
+    _NO_ROWS,
+    CpuSeilerLevel,
+    CpuSeilerModel,
+    Lines,
 )
-from napari_hmrf.solver.backends.cpu.seiler_model import CpuSeilerLevel, CpuSeilerModel, Lines
 from napari_hmrf.solver.backends.cpu.volume_cliques import offsets
-from napari_hmrf.solver.backends.linear import Planes, Steps
+from napari_hmrf.solver.backends.linear import Planes
 from napari_hmrf.solver.backends.planes import inside
 from napari_hmrf.solver.priors.cliques import SeilerMaterial
 
@@ -38,7 +37,7 @@ class CpuVolumeSeilerLevel(CpuSeilerLevel):
         """Compute the stiffness as the mean of the finer level's tissue around each site."""
         tissue = finer.vector()
         tissue[0], tissue[1] = finer.stiffness[0], finer.stiffness[0] > 0
-        volume_transfer.restrict_planes(tissue, self.load)
+        finer._restrict(tissue, self, self.load)
         total, share, _ = inside(self.load)
         m, inverse = inside(self.stiffness)
         np.divide(total, share, out=m, where=total > 0)
@@ -69,13 +68,16 @@ class CpuVolumeSeilerLevel(CpuSeilerLevel):
         """Multiply the load by `even` after its restriction from the finer level."""
         self.load *= self.even
 
-    def relax(self, steps: Steps, from_zero: bool) -> None:
-        """Run Chebyshev-Jacobi steps on `correction` for `load`."""
-        paces = paces_of(steps, from_zero)
-        if from_zero:
-            load, inverse, correction = map(rows, (self.load, self.inverse, self.correction))
-            volume.start(load, inverse, None, correction, paces[0, 0])
-            paces = paces[1:]
+    def clear(self) -> None:
+        """Set the correction and its second array to zero."""
+        CpuLevel.clear(self)
+
+    def _begin(self, paces: Vector) -> int:
+        load, inverse, correction = map(rows, (self.load, self.inverse, self.correction))
+        volume.start(load, inverse, None, correction, paces[0, 0])
+        return 1
+
+    def _smooth(self, paces: Vector) -> None:
         weight, springs = self._springs
         volume_seiler.smooth.in_turns(
             len(paces),
@@ -87,27 +89,11 @@ class CpuVolumeSeilerLevel(CpuSeilerLevel):
             self.spans,
             paces,
         )
-        if len(paces) % 2 == 1:
-            self.correction, self._other = self._other, self.correction
 
-    def _restrict_residual(self, coarse: CpuSeilerLevel) -> None:
+    def _write_rest(self) -> Vector:
         # `_other` can store the residual: the next step has no momentum and does not read `_other`.
-        out = 1, self._other
-        self._residual(self.correction, (self.load, 1), self._springs, out, np.zeros(0))
-        self._restrict(self._other, coarse, coarse.load)
-
-    def _restrict(self, forces: Vector, coarse: CpuSeilerLevel, out: Vector) -> None:
-        volume_transfer.restrict_planes(forces, out)
-
-    def _interpolate(self, coarse: CpuSeilerLevel) -> None:
-        volume_transfer.interpolate_planes(coarse.correction, self.correction, self.inverse)
-
-    def _clear_vectors(self) -> None:
-        """Clear the corrections, because kernels write only within the spans."""
-        self.clear()
-
-    def free(self, *vectors: Vector) -> None:
-        """Discard the vectors instead of reusing them, because memory is scarce in volumes."""
+        self._residual(self.correction, (self.load, 1), self._springs, (1, self._other), _NO_ROWS)
+        return self._other
 
     def _residual(
         self,
