@@ -184,7 +184,7 @@ def test_restriction_is_the_transpose_of_interpolation(m):
     other[coarse.inverse > 0] = random(np.count_nonzero(coarse.inverse), seed=1)
     fine._restrict(one, coarse, down)
     coarse.correction, fine.correction = other, fine.vector()
-    fine._interpolate(coarse)
+    fine.loops.interpolate(fine, coarse)
     assert fine.product(fine.correction, one) == pytest.approx((down * other).sum(), rel=1e-5)
 
 

@@ -9,7 +9,9 @@ from benchmarks import campaign as campaigns
 from napari_hmrf import ElasticPrior, Multigrid, NeoHookeanPrior, Problem, ProblemError, solve
 from napari_hmrf.landmarks import Landmarks
 from napari_hmrf.solver.backends import host
-from napari_hmrf.solver.backends.cpu import finite_model, finite_volume_model
+from napari_hmrf.solver.backends.cpu import finite_base
+from napari_hmrf.solver.backends.cpu.finite_model import CpuFiniteModel
+from napari_hmrf.solver.backends.cpu.finite_volume_model import CpuFiniteVolumeModel
 from napari_hmrf.solver.backends.direct.factors import Factors
 from napari_hmrf.solver.optimizers.external_forces import ExternalForces, Measurements
 from napari_hmrf.solver.problem import variant_of
@@ -31,7 +33,8 @@ def tissue(axes, spacing=None):
 def linearised(problem, prior):
     """Return the model of a problem, linearised at a small random displacement, and its forces."""
     material, axes = prior.material(problem), len(problem.shape)
-    model = (finite_model if axes == 2 else finite_volume_model).the_model(material)
+    kind = CpuFiniteModel if axes == 2 else CpuFiniteVolumeModel
+    model = finite_base.the_model(material, kind)
     _, held = host.prescribed(problem)
     y = host.planes(problem.observed.astype(np.float64) / problem.unit)
     outside = ExternalForces(None, Measurements(material.data, y))

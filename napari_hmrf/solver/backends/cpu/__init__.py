@@ -6,6 +6,7 @@ import math
 import platform
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -246,13 +247,18 @@ class CpuBackend:
 
     def finite_model(self, material: FiniteMaterial) -> FiniteModel:
         """Return the large-motion model."""
+        from napari_hmrf.solver.backends.cpu import finite_base  # heavy: numba
+
         if material.m.ndim == 3:
             from napari_hmrf.solver.backends.cpu import finite_volume_model  # heavy: numba
 
-            return finite_volume_model.the_model(material)
-        from napari_hmrf.solver.backends.cpu.finite_model import the_model  # heavy: numba
+            kind: Any = finite_volume_model.CpuFiniteVolumeModel
+        else:
+            from napari_hmrf.solver.backends.cpu import finite_model  # heavy: numba
 
-        return the_model(material)
+            kind = finite_model.CpuFiniteModel
+        model: FiniteModel = finite_base.the_model(material, kind)
+        return model
 
     def _scratch(self, stiffness: CpuField) -> tuple[FloatArray, FloatArray]:
         """Return scratch planes for the displacement, zero in void, and an array for energies."""

@@ -52,18 +52,19 @@ class CpuElasticLevel(CpuLevel):
 
     loops_apply_data = True
     lame: Vector
-    shape: Vector
     share = np.float32(1)
 
     def __init__(
         self,
         grid: tuple[int, ...],
+        shape: Vector,
         finest: bool = False,
         layout: Layout | None = None,
         memory: Mapping[str, Vector] | None = None,
         has_data: bool = False,
     ) -> None:
         super().__init__(grid, finest, layout, memory)
+        self.shape = shape
         self.sums_up = self.is_volume
         if memory is not None:
             self.lame = memory["own"][:2]
@@ -172,7 +173,7 @@ class CpuElasticModel(HostModel):
         """Return the small levels, which share memory and a single-call V-cycle."""
 
         def level(grid: tuple[int, ...], memory: Mapping[str, Vector]) -> CpuElasticLevel:
-            return CpuElasticLevel(grid, memory=memory, has_data=has_data)
+            return CpuElasticLevel(grid, self._shape, memory=memory, has_data=has_data)
 
         planes = small.DATA_PLANES if has_data else small.PLANES
         cycle = partial(_data_cycle if has_data else _cycle, self._shape)
@@ -207,7 +208,7 @@ class CpuElasticModel(HostModel):
         constants = self._loops.constants(material.shape)
         self._shape[:] = constants
         for level in self.levels:
-            level.shape, level.share = self._shape, np.float32(share)
+            level.share = np.float32(share)
         finest = self.levels[0]
         finest.bodies = None
         if material.data is not None:
@@ -237,8 +238,8 @@ class CpuElasticModel(HostModel):
             if number < len(self.levels) and not self.levels[number].layout.matches(layout):
                 del self.levels[number:]  # free their memory before new levels are allocated
             if number == len(self.levels):
-                level = CpuElasticLevel(grid, number == 0, layout, has_data=has_data)
-                self.levels.append(level)
+                about = number == 0, layout
+                self.levels.append(CpuElasticLevel(grid, self._shape, *about, has_data=has_data))
             self.levels[number].lame = layout.packed(lame)
         little = [] if self._small is None else self._small.levels
         self.levels[len(self._large) :] = little

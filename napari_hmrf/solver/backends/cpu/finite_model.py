@@ -8,19 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.solver.backends.cpu import finite_strain, finite_tangents, tangents
 from napari_hmrf.solver.backends.cpu.finite_base import CALM, CpuFiniteModelBase
 from napari_hmrf.solver.backends.cpu.forces import parts
 from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector
 from napari_hmrf.solver.backends.cpu.small_levels import SmallLevels, divided
-from napari_hmrf.solver.backends.linear import HeldPlanes, Planes
-from napari_hmrf.solver.backends.rigid.bodies import Bodies, rigid_elements
+from napari_hmrf.solver.backends.linear import Planes
+from napari_hmrf.solver.backends.rigid.bodies import rigid_elements
 from napari_hmrf.solver.coarse_levels import grids
 from napari_hmrf.solver.priors.elements import CYCLE_STAND_IN, lame_parameters
 from napari_hmrf.solver.priors.finite_strain import (
@@ -43,7 +42,7 @@ class TangentLevel(CpuLevel):
 
     Attributes
     ----------
-    cycled : ndarray, shape (14, H + 4, W + 4)
+    tangent : ndarray, shape (14, H + 4, W + 4)
         Tangents for cycles, and their damping.
     solved : ndarray, shape (21, H + 4, W + 4), or None
         Tangents of the linear system; None on coarser levels.
@@ -60,9 +59,9 @@ class TangentLevel(CpuLevel):
         super().__init__(grid, finest, memory=memory)
         shape = self.inverse.shape[1:]
         if memory is None:
-            self.cycled = _planes(_CYCLED, shape)
+            self.tangent = _planes(_CYCLED, shape)
         else:
-            self.cycled = memory["own"][:_CYCLED]
+            self.tangent = memory["own"][:_CYCLED]
             self.mixed = memory["own"][_CYCLED:] if has_data else None
         if has_data:
             self.allow_data()
@@ -71,12 +70,12 @@ class TangentLevel(CpuLevel):
 
     def write_diagonal(self, out: Vector) -> None:
         """Write the diagonal of the matrix for cycles to `out`."""
-        tangents.diagonal(self.cycled, out)
+        tangents.diagonal(self.tangent, out)
 
     @property
     def _system(self) -> tuple[Any, ...]:
         """Load, tangents and springs, for the loops."""
-        return self.load, self.cycled, self.inverse, *self._springs
+        return self.load, self.tangent, self.inverse, *self._springs
 
     def _begin(self, paces: Vector) -> int:
         tangents.start(self.load, self.inverse, paces[0, 0], self.correction)
@@ -104,7 +103,7 @@ def _planes(count: int, shape: tuple[int, ...]) -> Vector:
 
 
 class CpuFiniteModel(CpuFiniteModelBase):
-    """`FiniteModel` on the processor.
+    """`FiniteModel` of an image on the processor.
 
     Parameters
     ----------
@@ -114,9 +113,12 @@ class CpuFiniteModel(CpuFiniteModelBase):
         True for a problem with a data term.
     """
 
+    loops: ClassVar[Any] = finite_strain
+    coarsen: ClassVar[Any] = staticmethod(tangents.coarsen)
+
     def __init__(self, grid: tuple[int, ...], has_data: bool = False) -> None:
         large, little = divided(grids(grid))
-        self.levels = [
+        levels = [
             TangentLevel(each, finest=number == 0, has_data=has_data)
             for number, each in enumerate(large)
         ]
@@ -124,14 +126,10 @@ class CpuFiniteModel(CpuFiniteModelBase):
             level = partial(TangentLevel, has_data=has_data)
             cycle = tangents.data_cycle if has_data else tangents.cycle
             planes = int(tangents.DATA_PLANES if has_data else tangents.PLANES)
-            self.levels += SmallLevels(little, planes, level, cycle).levels
-        self.shape, self.has_data = grid, has_data
-        size = tuple(side + 4 for side in grid)
-        self._solid: Planes = np.zeros((_OF_SOLID, *size))
-        self._pull: Planes = np.zeros((2, *size))
-        self._energies, self._least = np.zeros((2, grid[0]))
-        self._none: Planes = np.zeros((0, 0))
-        self._parts = parts(grid[0])
+            levels += SmallLevels(little, planes, level, cycle).levels
+        super().__init__(levels, has_data)
+        self._solid: Planes = np.zeros((_OF_SOLID, *self._pull.shape[1:]))
+        self._parts = (parts(grid[0]),)
 
     def _set_material(self, material: FiniteMaterial) -> None:
         moduli = material.moduli(CYCLE_STAND_IN)
@@ -139,12 +137,13 @@ class CpuFiniteModel(CpuFiniteModelBase):
             plane[2:-3, 2:-3] = values
         self._stored = moduli.stored
         rows, cols = np.sqrt(material.shape.rows), np.sqrt(material.shape.cols)
-        self._about = float(rows), float(cols), moduli.bulges, BARRIER, BARRIER_BEGIN
+        about = float(rows), float(cols), moduli.bulges, BARRIER, BARRIER_BEGIN
+        self._elements = self._solid, about
         self._calm = CALM * self._spread(material)
         for level in self.levels:
-            level.cycled.fill(0)
+            level.tangent.fill(0)
         self._solved.fill(0)
-        self._elements = rigid_elements(material.m, self.bodies)
+        self._rigid = rigid_elements(material.m, self.bodies)
         self._stiff = np.zeros((_ALL, 0), dtype=np.float32)
 
     @property
@@ -164,46 +163,21 @@ class CpuFiniteModel(CpuFiniteModelBase):
             plane[2:3, 2:3] = values
         solved, cycled = _planes(_ALL, (5, 5)), _planes(_CYCLED, (5, 5))
         still: Planes = np.zeros((2, 5, 5))
-        finite_tangents.tangents(still, solid, self._about, 0.0, 1.0, solved, cycled, 1)
+        finite_tangents.tangents(still, solid, self._elements[1], 0.0, 1.0, solved, cycled, 1)
         return float(finite_tangents.spread(cycled[:13, 2, 2].astype(np.float64)))
-
-    def energy(self, d: Planes) -> tuple[float, float]:
-        """Return the energy of a displacement, and the smallest Jacobian at any element corner."""
-        self._work(finite_strain.energy, d, self._energies, self._least)
-        return float(self._energies.sum()) + self._stored, float(self._least.min())
 
     def least_jacobian(self, d: Planes) -> float:
         """Return the smallest Jacobian at any element corner, including growth."""
         return self.energy(d)[1]
 
-    def forces(self, d: Planes) -> Planes:
-        """Return the gradient of the elastic energy; valid until the next call."""
-        self._work(finite_strain.forces, d, self._pull)
-        return self._pull
+    def _write_tangents(self, d: Planes, positive: float) -> None:
+        finest = self.levels[0]
+        about = positive, self._calm, finest.solved, finest.tangent
+        finite_tangents.tangents(d, *self._elements, *about, *self._parts)
 
-    def linearise(
-        self,
-        d: Planes,
-        held: HeldPlanes,
-        forces: Planes,
-        positive: float = 0.0,
-        springs: Planes | None = None,
-    ) -> None:
-        """Build the linear model at a displacement; see `FiniteModel`."""
-        finest, self.springs = self.levels[0], springs
-        about = positive, self._calm, finest.solved, finest.cycled
-        self._work(finite_tangents.tangents, d, *about)
-        if self.bodies:
-            assert self.material is not None
-            finest.bodies = Bodies(self.bodies, self.material, held, d)
-            self._add_geometric_stiffness(d, forces, positive)
-        for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
-            tangents.coarsen(fine.cycled, coarse.cycled)
-        self._hold(held, springs)
-
-    def _add_geometric_stiffness(self, d: Planes, forces: Planes, positive: float) -> None:
+    def _stiffen_bodies(self, d: Planes, forces: Planes, positive: float) -> None:
         """Add the rotational stiffness of bodies that results from the current forces on them."""
-        rigid = self._elements > 0
+        rigid = self._rigid > 0
         # Remove the terms that make tangents positive definite: they resist rigid rotations.
         shear = self._solid[finite_strain.SHEAR, 2:-3, 2:-3]
         self._add_isotropic_stress(rigid, -positive * finite_tangents.LEAST * shear[rigid])
@@ -213,7 +187,7 @@ class CpuFiniteModel(CpuFiniteModelBase):
             at = np.s_[:, row + 2, col + 2]
             places = np.stack([row, col]) * np.array(sides)[:, None] + d[at]
             places -= places.mean(axis=1, keepdims=True)
-            here = self._elements == number
+            here = self._rigid == number
             more = -float((forces[at] * places).sum()) / (2 * int(here.sum()))
             if more < 0:
                 more *= 1 - positive
@@ -226,15 +200,6 @@ class CpuFiniteModel(CpuFiniteModelBase):
             for number in numbers:
                 self._solved[number][elements] += share * more
 
-    def length(
-        self, d: Planes, way: Planes, part: float, floor: float, each: bool = False
-    ) -> tuple[float, npt.NDArray[np.float64]]:
-        """Return the largest step along `way` with valid Jacobians; see `FiniteModel`."""
-        lengths = np.full(self._solid.shape[1:], np.inf) if each else self._none
-        about = d, way, self._solid, self._about, part, floor
-        finite_strain.length(*about, self._least, lengths, self._parts)
-        return float(self._least.min()), lengths[2:-3, 2:-3] if each else lengths
-
     @property
     def tangents(self) -> Tangents:
         """Linear model as an `Assembled` material, for direct factorizations."""
@@ -242,11 +207,8 @@ class CpuFiniteModel(CpuFiniteModelBase):
         if not self.bodies:
             return Tangents(self._solved, self.material)
         numbers = self._solved.copy()
-        numbers[:, self._elements > 0] += _FIRMER * self._stiff
+        numbers[:, self._rigid > 0] += _FIRMER * self._stiff
         return Tangents(numbers, self.material)
-
-    def _work(self, kernel: Any, d: Planes, *others: Any) -> None:
-        kernel(d, self._solid, self._about, *others, self._parts)
 
 
 class Tangents:
@@ -294,14 +256,3 @@ _WHERE = np.array(
 # Coefficients of the corners 00, 01, 10 and 11 in D_r, D_c and D_x, for one component.
 _SIGNS = np.array([[-1, -1, 1, 1], [-1, 1, -1, 1], [1, -1, -1, 1]], dtype=np.float64)
 _DIFFERENCES = np.kron(_SIGNS, np.eye(2))
-
-
-_model: Kept[CpuFiniteModel] = Kept()
-
-
-def the_model(material: FiniteMaterial) -> CpuFiniteModel:
-    """Return the model of a material, in the memory of the last model if the grid is the same."""
-    grid, has_data = tuple(material.m.shape), material.data is not None
-    model = _model.get(lambda last: last.fits(material), lambda: CpuFiniteModel(grid, has_data))
-    model.assemble(material)
-    return model

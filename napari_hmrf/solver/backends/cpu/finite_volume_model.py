@@ -7,13 +7,12 @@ deformation gradient for each element (`brick_tangents`).
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.compute.thread import compute_thread
-from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.solver.backends.cpu import (
     bernstein,
     brick_tangents,
@@ -24,8 +23,7 @@ from napari_hmrf.solver.backends.cpu.finite_base import CALM, CpuFiniteModelBase
 from napari_hmrf.solver.backends.cpu.layout import rows
 from napari_hmrf.solver.backends.cpu.level import CpuLevel, Vector
 from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
-from napari_hmrf.solver.backends.linear import HeldPlanes, Planes
-from napari_hmrf.solver.backends.rigid.bodies import Bodies
+from napari_hmrf.solver.backends.linear import Planes
 from napari_hmrf.solver.coarse_levels import grids
 from napari_hmrf.solver.priors.elements import CYCLE_STAND_IN, lame_ratio
 from napari_hmrf.solver.priors.finite_bricks import brick_moduli
@@ -199,14 +197,14 @@ class CpuFiniteVolumeModel(CpuFiniteModelBase):
         True for a problem with a data term.
     """
 
+    loops: ClassVar[Any] = finite_bricks
+    coarsen: ClassVar[Any] = staticmethod(brick_tangents.coarsen)
+
     def __init__(self, grid: tuple[int, ...], has_data: bool = False) -> None:
-        self.levels: list[BrickLevel] = [
+        levels = [
             BrickLevel(each, number == 0, has_data) for number, each in enumerate(grids(grid))
         ]
-        self.shape, self.has_data = grid, has_data
-        self._pull: Planes = np.zeros((3, *(size + 2 * PAD for size in grid)))
-        self._energies, self._least = np.zeros((2, grid[0]))
-        self._no_elements: Planes = np.zeros((0, 0, 0))
+        super().__init__(levels, has_data)
 
     def _set_material(self, material: FiniteMaterial) -> None:
         self._solid = padded(2 if material.growth is None else 8, self.shape)
@@ -219,67 +217,33 @@ class CpuFiniteVolumeModel(CpuFiniteModelBase):
             if moduli.undo is not None:
                 for part, (i, j) in zip(parts[2:], _UPPER, strict=True):
                     part[slab] = moduli.undo[..., i, j]
-        self._sides = np.array(material.shape)
-        self._barrier = BARRIER, BARRIER_BEGIN
+        sides = np.array(material.shape)
+        self._elements = self._solid, sides, (BARRIER, BARRIER_BEGIN)
         ratio = lame_ratio(material.largest_poisson, strain=True)
-        self._calm = CALM * float(brick_tangents.norm_at_rest(1.0, ratio, self._sides))
+        self._calm = CALM * float(brick_tangents.norm_at_rest(1.0, ratio, sides))
         for level in self.levels:
-            level.shape = self._sides.astype(np.float32)
-
-    def energy(self, d: Planes) -> tuple[float, float]:
-        """Return the energy of a displacement, and a bound below the Jacobian of all elements.
-
-        The Jacobian is that of the elastic deformation, without growth.
-        """
-        about = d, self._solid, self._sides, self._barrier
-        finite_bricks.energy(*about, self._energies, self._least)
-        return float(self._energies.sum()), float(self._least.min())
+            level.shape = sides.astype(np.float32)
 
     def least_jacobian(self, d: Planes) -> float:
         """Return a bound below the Jacobian of all elements, including growth."""
-        about = d, self._solid[:2], self._sides, self._barrier  # moduli only, as without growth
-        finite_bricks.energy(*about, self._energies, self._least)
-        return float(self._least.min())
+        # The first two planes are moduli; without the others, tissue has not grown.
+        return self._energy(d, self._solid[:2], *self._elements[1:])[1]
 
-    def forces(self, d: Planes) -> Planes:
-        """Return the gradient of the elastic energy; valid until the next call."""
-        finite_bricks.forces(d, self._solid, self._sides, self._barrier, self._pull)
-        return self._pull
-
-    def linearise(
-        self,
-        d: Planes,
-        held: HeldPlanes,
-        forces: Planes,
-        positive: float = 0.0,
-        springs: Planes | None = None,
-    ) -> None:
-        """Build the linear model of small motion around a displacement; see `FiniteModel`."""
-        finest, self.springs = self.levels[0], springs
-        about = d, self._solid, self._sides, self._barrier, self._calm
+    def _write_tangents(self, d: Planes, positive: float) -> None:
+        finest = self.levels[0]
         low = np.full(d.shape[1:], np.inf, dtype=np.float32)
-        brick_tangents.tangents(*about, finest.tangent, low)
+        brick_tangents.tangents(d, *self._elements, self._calm, finest.tangent, low)
         compute_thread.check_cancelled()
-        finest.exact = SecondDerivatives(d, self._solid, self._sides, low, positive)
-        if self.bodies:
-            assert self.material is not None
-            finest.bodies = Bodies(self.bodies, self.material, held, d)
-        for fine, coarse in zip(self.levels, self.levels[1:], strict=False):
-            brick_tangents.coarsen(fine.tangent, coarse.tangent)
-        at = tuple(finest.exact.walled.T)
+        solid, sides, _ = self._elements
+        finest.exact = SecondDerivatives(d, solid, sides, low, positive)
+
+    def _coarsen_tangents(self) -> None:
+        super()._coarsen_tangents()
         # Cycles use the full matrices of these elements instead.
+        finest = self.levels[0]
+        at = tuple(finest.exact.walled.T)
         for plane in finest.tangent[9:12]:
             plane[at] = 0
-        self._hold(held, springs)
-
-    def length(
-        self, d: Planes, way: Planes, part: float, floor: float, each: bool = False
-    ) -> tuple[float, npt.NDArray[np.float64]]:
-        """Return the largest step along `way` that leaves no element folded; see `FiniteModel`."""
-        lengths = np.full(self._solid.shape[1:], np.inf) if each else self._no_elements
-        about = d, way, self._solid, self._sides, part, floor
-        finite_bricks.length(*about, self._least, lengths)
-        return float(self._least.min()), lengths[_ELEMENTS] if each else lengths
 
     @property
     def tangents(self) -> BrickMatrices:
@@ -312,16 +276,3 @@ class BrickMatrices:
     def parts(self) -> tuple[tuple[tuple[int, ...], Any], ...]:
         """Single part with all components, and the function that returns its matrices."""
         return (((0, 1, 2), lambda *elements: self._matrices[elements]),)
-
-
-_model: Kept[CpuFiniteVolumeModel] = Kept(is_large=True)
-
-
-def the_model(material: FiniteMaterial) -> CpuFiniteVolumeModel:
-    """Return the model of a material, in the memory of the last model if the grid is the same."""
-    grid, has_data = tuple(material.m.shape), material.data is not None
-    model = _model.get(
-        lambda last: last.fits(material), lambda: CpuFiniteVolumeModel(grid, has_data)
-    )
-    model.assemble(material)
-    return model
