@@ -14,7 +14,7 @@ from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.arrays.seiler import ArraySeilerModel
 from napari_hmrf.solver.backends.base import SiteRule
 from napari_hmrf.solver.backends.cpu import CpuBackend
-from napari_hmrf.solver.backends.cpu.volume_seiler_model import CpuVolumeSeilerModel
+from napari_hmrf.solver.backends.cpu.seiler_model import CpuSeilerModel
 from napari_hmrf.solver.connected import connected
 from napari_hmrf.solver.model_names import in_words
 from napari_hmrf.solver.optimizers import ICM
@@ -239,7 +239,7 @@ def without_ring(planes):
 def test_compiled_forces_match_the_energies(shape, ratio, spacing):
     problem, prior = compressed_volume(shape, ratio, spacing, void=True), SeilerPrior()
     d = np.random.default_rng(2).normal(size=problem.observed.shape)
-    model = CpuVolumeSeilerModel(prior.material(problem))
+    model = CpuSeilerModel(prior.material(problem))
     curvature, lowest = prior.site_parabola(problem, d * problem.unit)
     expected = lowest / problem.unit - d
     np.testing.assert_allclose(without_ring(model.pull(host.planes(d))), expected, atol=1e-9)
@@ -266,7 +266,7 @@ def test_compiled_forces_match_the_energies(shape, ratio, spacing):
 def test_all_levels_match_the_array_model(shape, ratio, spacing):
     problem = compressed_volume(shape, ratio, spacing, void=True)
     material = SeilerPrior().material(problem)
-    loops, arrays = CpuVolumeSeilerModel(material), ArraySeilerModel(material)
+    loops, arrays = CpuSeilerModel(material), ArraySeilerModel(material)
     _, held = host.prescribed(problem)
     for model in (loops, arrays):
         model.hold(held.copy())
@@ -289,7 +289,7 @@ def test_all_levels_match_the_array_model(shape, ratio, spacing):
 
 def test_smoothing_is_a_chebyshev_iteration_and_the_residual_is_restricted():
     problem = compressed_volume((9, 8, 10), void=True)
-    model = CpuVolumeSeilerModel(SeilerPrior().material(problem))
+    model = CpuSeilerModel(SeilerPrior().material(problem))
     _, held = host.prescribed(problem)
     model.hold(held.copy())
     (fine, coarse), draw = model.levels[:2], np.random.default_rng(3)

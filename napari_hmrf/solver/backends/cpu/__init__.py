@@ -237,10 +237,6 @@ class CpuBackend:
 
     def seiler_model(self, material: SeilerMaterial) -> LinearModel:
         """Return the model of the paper's cliques with all its levels."""
-        if material.m.ndim == 3:
-            from napari_hmrf.solver.backends.cpu import volume_seiler_model  # heavy: numba
-
-            return volume_seiler_model.the_model(material)
         from napari_hmrf.solver.backends.cpu.seiler_model import the_model  # heavy: numba
 
         return the_model(material)

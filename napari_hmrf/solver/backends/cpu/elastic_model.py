@@ -110,9 +110,6 @@ class CpuElasticLevel(CpuLevel):
         """Arrays for `moving_inverse` and `moving_spans`, allocated only for rigid tissue."""
         return self.vector(), np.zeros_like(self.spans)
 
-    def _begin(self, paces: Vector) -> int:
-        return int(self.loops.begin(self, paces))
-
     def _smooth(self, paces: Vector) -> None:
         self.loops.smooth(self, paces)
 

@@ -17,7 +17,6 @@ from napari_hmrf.solver.backends.cpu import (
     bernstein,
     brick_tangents,
     finite_bricks,
-    volume,
 )
 from napari_hmrf.solver.backends.cpu.finite_base import CALM, CpuFiniteModelBase
 from napari_hmrf.solver.backends.cpu.layout import rows
@@ -75,11 +74,6 @@ class BrickLevel(CpuLevel):
         brick_tangents.diagonal(self.tangent, self.shape, out)
         if self.exact is not None:
             bernstein.add_diagonals(self.exact.walled, self.exact.safe_walls, out)
-
-    def _begin(self, paces: Vector) -> int:
-        load, inverse, correction = map(rows, (self.load, self.inverse, self.correction))
-        volume.start(load, inverse, None, correction, paces[0, 0])
-        return 1
 
     def _smooth(self, paces: Vector) -> None:
         (pace,) = paces

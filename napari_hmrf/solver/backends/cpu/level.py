@@ -453,7 +453,7 @@ class CpuLevel:
 
     def _begin(self, paces: Vector) -> int:
         """Run the first steps from zero, to `correction`; return their number."""
-        raise NotImplementedError
+        return int(self.loops.begin(self, paces))
 
     def _smooth(self, paces: Vector) -> None:
         """Run Chebyshev steps (scale, ahead, back), alternating `correction` and `_other`."""

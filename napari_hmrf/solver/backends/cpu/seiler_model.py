@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import math
 from functools import cached_property
-from typing import ClassVar, Self
+from typing import Self
 
 import numba
 import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.compute.workspace import Kept
-from napari_hmrf.solver.backends.cpu import kernels, seiler, vectors
+from napari_hmrf.solver.backends.cpu import kernels, seiler, vectors, volume_seiler
 from napari_hmrf.solver.backends.cpu.layout import rows
 from napari_hmrf.solver.backends.cpu.level import CpuLevel, Spans, Vector, all_sites
 from napari_hmrf.solver.backends.cpu.transfer import padded
+from napari_hmrf.solver.backends.cpu.volume_cliques import offsets
 from napari_hmrf.solver.backends.host_model import HostModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
 from napari_hmrf.solver.backends.planes import inside
@@ -53,31 +54,33 @@ class CpuSeilerLevel(CpuLevel):
         self.stiffness, self.even = padded(2, grid), padded(1, grid)[0]
         self._diagonal, self.threads = self.vector(), 1
 
-    def coarsen(self, finer: CpuSeilerLevel) -> None:
+    def coarsen(self, finer: Self) -> None:
         """Compute the stiffness from the next finer level."""
-        seiler.coarsen(finer.stiffness, self.stiffness, self.even)
+        raise NotImplementedError
+
+    def curvature(self, stiffness: Planes, lines: Lines) -> Planes:
+        """Return the curvature of each site's cliques, in double precision."""
+        raise NotImplementedError
+
+    def even_out(self) -> None:
+        """Multiply the load by `even` after its restriction from the finer level."""
+        raise NotImplementedError
+
+    def _residual(
+        self,
+        d: Vector,
+        load: tuple[Vector, int],
+        springs: tuple[Vector, np.float32],
+        out: tuple[int, Vector],
+        totals: npt.NDArray[np.float64],
+    ) -> None:
+        """Write a multiple of the residual; `load` and `out` are pairs of an array and a factor."""
+        raise NotImplementedError
 
     def compute_diagonal(self, stiffness: Planes) -> None:
         """Compute the diagonal from a stiffness in double precision."""
         exactly = self.curvature(stiffness, self._lines.astype(np.float64))
         self._diagonal[...] = exactly if self.blanket else exactly > 0
-
-    def curvature(self, stiffness: Planes, lines: Lines) -> Planes:
-        """Return the curvature of each site's cliques, in double precision."""
-        out = np.zeros(self.inverse.shape)
-        seiler.curvature(stiffness, lines, bool(self.blanket), out)
-        return out
-
-    def pull(self, d: Planes, stiffness: Planes, lines: Lines, spans: Spans, out: Planes) -> None:
-        """Write -A d to `out` within the spans."""
-        seiler.pull(d, stiffness, lines, self.blanket, spans, out)
-
-    def work(self, d: Planes, stiffness: Planes, lines: Lines, spans: Spans, out: Planes) -> float:
-        """Write -A d to `out` within the spans, and return the energy of the cliques."""
-        share, totals = np.empty(self.grid), np.zeros(self.grid[0])
-        kernels.energy(d, stiffness, spans, lines, share, totals)
-        self.pull(d, stiffness, lines, spans, out)
-        return float(totals.sum())
 
     def write_diagonal(self, out: Vector) -> None:
         """Copy the diagonal to `out`."""
@@ -98,14 +101,56 @@ class CpuSeilerLevel(CpuLevel):
         if coarse is not None and not self.blanket:
             coarse.even_out()
 
-    def even_out(self) -> None:
-        """Multiply the load by `even` after its restriction from the finer level."""
-        seiler.even_out(self.load, self.even)
-
     def ascend(self, steps: Steps, coarse: Self) -> None:
         """Add the interpolated coarse correction, then smooth."""
         numba.set_num_threads(self.threads)
         super().ascend(steps, coarse)
+
+    def apply(self, direction: Vector, image: Vector) -> float:
+        """Compute ``image = A @ direction``; return ``direction . image``."""
+        self.multiply(direction, image, self._rows)
+        with np.errstate(invalid="ignore"):  # the iteration checks for NaN
+            return float(self._rows.sum())
+
+    def multiply(
+        self, direction: Vector, image: Vector, totals: npt.NDArray[np.float64] = _NO_ROWS
+    ) -> None:
+        """Compute ``image = A @ direction``; store ``direction . image`` per row in `totals`.
+
+        Nothing is stored if `totals` is empty.
+        """
+        # Unused terms have a factor of 0 and refer to arrays that the kernel reads anyway.
+        nothing, no_springs = (direction, 0), (self.inverse, np.float32(0))
+        self._residual(direction, nothing, no_springs, (-1, image), totals)
+
+
+class CpuImageSeilerLevel(CpuSeilerLevel):
+    """Level of an image, with centred or blanket cliques and springs."""
+
+    def coarsen(self, finer: Self) -> None:
+        """Compute the stiffness from the next finer level."""
+        seiler.coarsen(finer.stiffness, self.stiffness, self.even)
+
+    def curvature(self, stiffness: Planes, lines: Lines) -> Planes:
+        """Return the curvature of each site's cliques, in double precision."""
+        out = np.zeros(self.inverse.shape)
+        seiler.curvature(stiffness, lines, bool(self.blanket), out)
+        return out
+
+    def pull(self, d: Planes, stiffness: Planes, lines: Lines, spans: Spans, out: Planes) -> None:
+        """Write -A d to `out` within the spans."""
+        seiler.pull(d, stiffness, lines, self.blanket, spans, out)
+
+    def work(self, d: Planes, stiffness: Planes, lines: Lines, spans: Spans, out: Planes) -> float:
+        """Write -A d to `out` within the spans, and return the energy of the cliques."""
+        share, totals = np.empty(self.grid), np.zeros(self.grid[0])
+        kernels.energy(d, stiffness, spans, lines, share, totals)
+        self.pull(d, stiffness, lines, spans, out)
+        return float(totals.sum())
+
+    def even_out(self) -> None:
+        """Multiply the load by `even` after its restriction from the finer level."""
+        seiler.even_out(self.load, self.even)
 
     def clear(self) -> None:
         """Set the correction and all arrays of the smoother to zero."""
@@ -144,23 +189,6 @@ class CpuSeilerLevel(CpuLevel):
         self._residual(self.correction, (self.load, 1), self._springs, (1, self._rest), _NO_ROWS)
         return self._rest
 
-    def apply(self, direction: Vector, image: Vector) -> float:
-        """Compute ``image = A @ direction``; return ``direction . image``."""
-        self.multiply(direction, image, self._rows)
-        with np.errstate(invalid="ignore"):  # the iteration checks for NaN
-            return float(self._rows.sum())
-
-    def multiply(
-        self, direction: Vector, image: Vector, totals: npt.NDArray[np.float64] = _NO_ROWS
-    ) -> None:
-        """Compute ``image = A @ direction``; store ``direction . image`` per row in `totals`.
-
-        Nothing is stored if `totals` is empty.
-        """
-        # Unused terms have a factor of 0 and refer to arrays that the kernel reads anyway.
-        nothing, no_springs = (direction, 0), (self.inverse, np.float32(0))
-        self._residual(direction, nothing, no_springs, (-1, image), totals)
-
     def _residual(
         self,
         d: Vector,
@@ -186,6 +214,91 @@ class CpuSeilerLevel(CpuLevel):
         )
 
 
+class CpuVolumeSeilerLevel(CpuSeilerLevel):
+    """Level of a volume, with centred cliques and springs."""
+
+    @property
+    def _tissue(self) -> tuple[Vector, Vector, npt.NDArray[np.int64]]:
+        """Arrays that describe the tissue for the kernels."""
+        return rows(self.stiffness), self._lines, offsets(self.grid)
+
+    def coarsen(self, finer: Self) -> None:
+        """Compute the stiffness as the mean of the finer level's tissue around each site."""
+        tissue = finer.vector()
+        tissue[0], tissue[1] = finer.stiffness[0], finer.stiffness[0] > 0
+        finer._restrict(tissue, self, self.load)
+        total, share, _ = inside(self.load)
+        m, inverse = inside(self.stiffness)
+        np.divide(total, share, out=m, where=total > 0)
+        np.divide(share, total, out=inverse, where=total > 0)
+        # The divisor is at least a quarter of the weight of complete surroundings.
+        inside(self.even[None])[0] = 4 / np.maximum(share, 2)
+        self.load.fill(0)
+
+    def curvature(self, stiffness: Planes, lines: Lines) -> Planes:
+        """Return the curvature of each site's cliques, in double precision."""
+        out = np.zeros(self.inverse.shape)
+        tissue = rows(stiffness), lines, offsets(self.grid)
+        volume_seiler.curvature(*tissue, all_sites(self.grid), rows(out))
+        return out
+
+    def pull(self, d: Planes, stiffness: Planes, lines: Lines, spans: Spans, out: Planes) -> None:
+        """Write -A d to `out` within the spans."""
+        self.work(d, stiffness, lines, spans, out)
+
+    def work(self, d: Planes, stiffness: Planes, lines: Lines, spans: Spans, out: Planes) -> float:
+        """Write -A d to `out` within the spans, and return the energy of the cliques."""
+        totals = np.zeros(len(spans))
+        tissue = rows(stiffness), lines, offsets(self.grid)
+        volume_seiler.pull(rows(d), *tissue, spans, rows(out), totals)
+        return float(totals.sum())
+
+    def even_out(self) -> None:
+        """Multiply the load by `even` after its restriction from the finer level."""
+        self.load *= self.even
+
+    def _smooth(self, paces: Vector) -> None:
+        weight, springs = self._springs
+        volume_seiler.smooth.in_turns(
+            len(paces),
+            *map(rows, (self.correction, self._other, self.load)),
+            *self._tissue,
+            rows(self.inverse),
+            rows(weight),
+            springs,
+            self.spans,
+            paces,
+        )
+
+    def _write_rest(self) -> Vector:
+        # `_other` can store the residual: the next step has no momentum and does not read `_other`.
+        self._residual(self.correction, (self.load, 1), self._springs, (1, self._other), _NO_ROWS)
+        return self._other
+
+    def _residual(
+        self,
+        d: Vector,
+        load: tuple[Vector, int],
+        springs: tuple[Vector, np.float32],
+        out: tuple[int, Vector],
+        totals: npt.NDArray[np.float64],
+    ) -> None:
+        volume_seiler.residual(
+            rows(d),
+            rows(load[0]),
+            np.float32(load[1]),
+            *self._tissue,
+            rows(self.inverse),
+            rows(springs[0]),
+            springs[1],
+            self.spans,
+            np.float32(out[0]),
+            rows(out[1]),
+        )
+        if len(totals):
+            vectors.product(rows(d), rows(out[1]), totals)
+
+
 class CpuSeilerModel(HostModel):
     """`LinearModel` of the paper's cliques; other backends build their levels from this model.
 
@@ -194,9 +307,6 @@ class CpuSeilerModel(HostModel):
     material : SeilerMaterial
         Material on the finest grid.
     """
-
-    #: Class of the levels.
-    level: ClassVar[type[CpuSeilerLevel]] = CpuSeilerLevel
 
     def __init__(self, material: SeilerMaterial) -> None:
         self.material = material
@@ -208,13 +318,14 @@ class CpuSeilerModel(HostModel):
         square = material.square and not material.blanket
         m = material.m / np.float64(material.m.max())
         inverse = np.divide(1.0, m, out=np.zeros_like(m), where=m > 0)
+        kind = CpuImageSeilerLevel if m.ndim == 2 else CpuVolumeSeilerLevel
         self.levels = []
         for number, grid in enumerate(grids(m.shape)):
             # On the next coarser level, the same curvature of the displacement yields sixteen
             # times the energy per clique, but there are only a quarter as many cliques.
             share = 0.25**number if material.blanket else 1.0
             lines = (share * self._lines).astype(np.float32)
-            self.levels.append(self.level(grid, lines, square, material.blanket, number == 0))
+            self.levels.append(kind(grid, lines, square, material.blanket, number == 0))
         finest = self.levels[0]
         self._stiffness = np.zeros(finest.stiffness.shape)
         inside(self._stiffness)[...] = m, inverse
@@ -279,12 +390,10 @@ class CpuSeilerModel(HostModel):
 _model: Kept[CpuSeilerModel] = Kept()
 
 
-def the_model(
-    material: SeilerMaterial, kind: type[CpuSeilerModel] = CpuSeilerModel
-) -> CpuSeilerModel:
+def the_model(material: SeilerMaterial) -> CpuSeilerModel:
     """Return the model of a material, reusing the last model if possible.
 
     Users edit observations more often than tissue. Call this function only on the compute thread,
     because all solves share the model.
     """
-    return _model.get(lambda last: last.material == material, lambda: kind(material))
+    return _model.get(lambda last: last.material == material, lambda: CpuSeilerModel(material))
