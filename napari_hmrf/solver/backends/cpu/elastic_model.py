@@ -46,6 +46,8 @@ class CpuElasticLevel(CpuLevel):
         Ratio lambda / mu of all elements of a volume, or 1 if each element has its own lambda.
     shape : ndarray
         Constants of the loops for the shape of a site.
+    system : tuple
+        Elements, springs and data, for the loops.
     moving_inverse, moving_spans : ndarray
         Variants of `inverse` and `spans` in which the bodies constrained by cycles are free.
     """
@@ -53,6 +55,7 @@ class CpuElasticLevel(CpuLevel):
     loops_apply_data = True
     lame: Vector
     share = np.float32(1)
+    system: tuple[Any, ...]
 
     def __init__(
         self,
@@ -81,12 +84,13 @@ class CpuElasticLevel(CpuLevel):
         """Parameters of the elements, for the loops."""
         return (flat(self.lame), self.share) if self.is_volume else (flat(self.lame),)
 
-    @property
-    def system(self) -> tuple[Any, ...]:
-        """Elements, springs and data, for the loops."""
+    def start_cycles(self) -> None:
+        """Clear the corrections as far as necessary, and collect the arguments of the loops."""
+        super().start_cycles()
         weight, springs = self._springs
         mixed = None if self.mixed is None else flat(self.mixed)
-        return *self.elements, flat(self.inverse), flat(weight), springs, mixed, self.shape
+        about = flat(self.inverse), flat(weight), springs, mixed, self.shape
+        self.system = *self.elements, *about
 
     def write_diagonal(self, out: Vector) -> None:
         """Write the diagonal of the stiffness matrix to `out`."""

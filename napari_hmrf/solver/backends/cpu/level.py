@@ -128,6 +128,9 @@ class CpuLevel:
         self.reach: Spans = np.zeros((*planes[:-1], 2), dtype=np.int64)
         self.spans: Spans = self.reach.reshape(-1, 2)[PAD:-PAD]
         self._written_spans = self.spans.copy()
+        spans = self.reach if self.is_volume else self.spans
+        #: Table of rows, spans of the moving sites and width of a padded row, for the loops.
+        self.where = self.layout.starts, spans, planes[-1]
         self._rows, self._most = np.zeros((2, rows(self.inverse).shape[1] - 2 * PAD))
         if self.is_volume and memory is None:
             # The operating system allocates memory at the first write, which is slow. Write to the
@@ -320,12 +323,6 @@ class CpuLevel:
             flat[:, at] = np.where(fixed[:, at], 0, flat[:, at])
         return float((forces * moved).sum())
 
-    @property
-    def where(self) -> tuple[Table, Spans, int]:
-        """Table of rows, spans of the moving sites and width of a padded row, for the loops."""
-        spans = self.reach if self.is_volume else self.spans
-        return self.layout.starts, spans, self.layout.planes[-1]
-
     def _restrict(self, forces: Vector, coarse: Self, out: Vector) -> None:
         """Restrict forces on this level to `out`, a vector of the next coarser level."""
         self.loops.restrict(self, forces, coarse, out)
@@ -449,7 +446,8 @@ class CpuLevel:
             self._smooth(some)
             if len(some) % 2 == 1:
                 self.correction, self._other = self._other, self.correction
-            compute_thread.check_cancelled()
+            if self.is_volume:  # in images, a check would take a tenth of the time of a step
+                compute_thread.check_cancelled()
 
     def _begin(self, paces: Vector) -> int:
         """Run the first steps from zero, to `correction`; return their number."""
