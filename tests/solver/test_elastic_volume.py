@@ -205,6 +205,15 @@ def test_a_uniform_strain_has_the_same_energy_on_all_levels():
     np.testing.assert_allclose(energies, energies[0], rtol=1e-4)
 
 
+def test_a_ratio_for_each_voxel_does_not_depend_on_the_ratio_of_the_last_solve():
+    problem = compressed_volume(random_stiffness(3, (6, 5, 6)))
+    ratios = np.where(random(6, 5, 6) < 0.5, 0.1, 0.45)
+    first, _, last = (
+        solve(problem, ElasticPrior(each), optimizer=PRECISE) for each in (ratios, 0.3, ratios)
+    )
+    np.testing.assert_array_equal(last.displacement, first.displacement)
+
+
 def test_the_number_of_threads_does_not_change_the_residual():
     problem = compressed_volume(random_stiffness(10, (13, 6, 7)))
     model, d = model_of(problem, ElasticPrior()), host.planes(random(13, 6, 7, 3))
