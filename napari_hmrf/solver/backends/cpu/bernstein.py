@@ -250,13 +250,14 @@ def barrier_matrices(thread, d, elements, gains, scales, q, start, positive, out
     `elements` has the indices (z, y, x) of each in padded arrays. The order of the 24 components is
     that of the corners 000, 001, 010 ... 111, with three components each.
     """
+    sides = q[0], q[1], q[2]
     for n in portion(thread, len(elements)):
         edges, net, weights = np.empty((3, 4, 3)), np.empty(27), np.empty(27)
         pulls, moved, gradient = np.empty((3, 4, 3)), np.empty((3, 4, 3)), np.empty(24)
         work = edges, net, weights, pulls, moved, gradient
         made = np.empty((24, 24))
         z, y, x = elements[n]
-        _barrier_matrix(d, z, y, x, q, gains[n], start, scales[n], positive, work, made)
+        _barrier_matrix(d, z, y, x, sides, gains[n], start, scales[n], positive, work, made)
         out[n] = made
 
 

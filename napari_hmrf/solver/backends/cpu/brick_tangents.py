@@ -35,15 +35,12 @@ from napari_hmrf.solver.backends.cpu.compiled import (
     shared,
 )
 from napari_hmrf.solver.backends.cpu.finite_bricks import (
-    BLOCK,
-    FLOATS,
     GAIN,
     GROWTH,
     LAM,
     LOW,
     MODES,
     MU,
-    POINTS,
     PULLS,
     SQUARE,
     STEP,
@@ -55,15 +52,15 @@ from napari_hmrf.solver.backends.cpu.finite_bricks import (
     determinant,
     largest_stretch,
     line,
-    modes,
     place,
     product,
     read_solid,
+    sweep_of,
     times_growth,
     twisted,
     volumes,
 )
-from napari_hmrf.solver.backends.cpu.forces import clear, planes_of_turn
+from napari_hmrf.solver.backends.cpu.forces import clear, planes_of, planes_of_turn
 
 #: Number of planes of a level's model.
 PLANES = np.int64(13)
@@ -137,51 +134,42 @@ def norm_at_rest(mu, lam, q):
     return _norm(m, mu, -mu, mu + lam, q, np.empty(9), np.empty(18))
 
 
-@callee
-def _tangent_plane(d, solid, q, barrier, calm, z, f, points, work, out, low):
-    strength, start = barrier
-    edges, net, way, image = work
-    sides = q[0], q[1], q[2]
-    for y in range(2, d.shape[2] - 2):
-        for begin in range(2, d.shape[3] - 2, BLOCK):
-            count = min(BLOCK, d.shape[3] - 2 - begin)
-            low[z, y, begin : begin + count] = np.inf
-            if not read_solid(solid, z, y, begin, count, f):
-                for n in range(PLANES):
-                    out[n, z, y, begin : begin + count] = 0
-                continue
-            modes(d, z, y, begin, count, f, MODES)
-            bound_below(f, sides, count)
-            volumes(f, points, sides, count)
-            for x in range(count):
-                at = begin + x
-                mu, gain = f[line(MU) + x], f[line(GAIN) + x]
-                if mu <= 0:
-                    for n in range(PLANES):
-                        out[n, z, y, at] = 0
-                    continue
-                m = deformed(f, x, sides, 0.0, 0.0, 0.0)
-                lam, volume = f[line(LAM) + x], f[line(VOLUME) + x]
-                jacobian = volume / gain
-                slope = 0.5 * lam * gain * (volume - 1.0 / volume) - mu / jacobian
-                bend = 0.5 * lam * gain * gain * (1.0 + 1.0 / (volume * volume))
-                bend += mu / (jacobian * jacobian)
-                stretch = largest_stretch(times_growth(f, GROWTH, x, m))
-                low[z, y, at] = f[line(LOW) + x]
-                if low[z, y, at] < start:
-                    least, first, second = barrier_slopes(d, z, y, at, q, gain, start, edges, net)
-                    low[z, y, at] = least
-                    slope += strength * mu * gain * first
-                    bend += strength * mu * gain * gain * second
-                slope = _limited(slope, mu, stretch / gain)
-                own = (f[line(SQUARE) + x] + f[line(SQUARE + 3) + x] + f[line(SQUARE + 5) + x]) / 3
-                for n in range(9):
-                    out[n, z, y, at] = m[n]
-                out[_SHEAR, z, y, at] = mu * own
-                out[_SLOPE, z, y, at] = slope
-                out[_BEND, z, y, at] = bend
-                norm = _norm(m, mu * own, slope, bend, q, way, image)
-                out[_DAMPING, z, y, at] = max(1.0, norm / calm)
+@shared
+def _write_tangents(d, q, block, f, points, about):
+    z, y, begin, count = block
+    strength, start, calm, out, low, edges, net, way, image = about
+    bound_below(f, q, count)
+    volumes(f, points, q, count)
+    for x in range(count):
+        at = begin + x
+        mu, gain = f[line(MU) + x], f[line(GAIN) + x]
+        if mu <= 0:
+            continue
+        m = deformed(f, x, q, 0.0, 0.0, 0.0)
+        lam, volume = f[line(LAM) + x], f[line(VOLUME) + x]
+        jacobian = volume / gain
+        slope = 0.5 * lam * gain * (volume - 1.0 / volume) - mu / jacobian
+        bend = 0.5 * lam * gain * gain * (1.0 + 1.0 / (volume * volume))
+        bend += mu / (jacobian * jacobian)
+        stretch = largest_stretch(times_growth(f, GROWTH, x, m))
+        low[z, y, at] = f[line(LOW) + x]
+        if low[z, y, at] < start:
+            least, first, second = barrier_slopes(d, z, y, at, q, gain, start, edges, net)
+            low[z, y, at] = least
+            slope += strength * mu * gain * first
+            bend += strength * mu * gain * gain * second
+        slope = _limited(slope, mu, stretch / gain)
+        own = (f[line(SQUARE) + x] + f[line(SQUARE + 3) + x] + f[line(SQUARE + 5) + x]) / 3
+        for n in range(9):
+            out[n, z, y, at] = m[n]
+        out[_SHEAR, z, y, at] = mu * own
+        out[_SLOPE, z, y, at] = slope
+        out[_BEND, z, y, at] = bend
+        norm = _norm(m, mu * own, slope, bend, q, way, image)
+        out[_DAMPING, z, y, at] = max(1.0, norm / calm)
+
+
+_tangent_sweep = sweep_of(read_solid, _write_tangents)
 
 
 @scratch_parallel
@@ -191,10 +179,12 @@ def tangents(thread, d, solid, q, barrier, calm, out, low):
     `low` gets a bound below the Jacobian of each element, infinite in void. It is the least
     Bernstein coefficient where it is less than the start of the barrier.
     """
-    for n in portion(thread, d.shape[1] - 4):
-        f, points = np.zeros(FLOATS), np.zeros(POINTS)
-        work = np.empty((3, 4, 3)), np.empty(27), np.empty(9), np.empty(18)
-        _tangent_plane(d, solid, q, barrier, calm, n + 2, f, points, work, out, low)
+    planes = planes_of(thread, d.shape[1])
+    for z in planes:
+        out[:, z], low[z] = 0, np.inf
+    edges, net, way, image = np.empty((3, 4, 3)), np.empty(27), np.empty(9), np.empty(18)
+    about = (*barrier, calm, out, low, edges, net, way, image)
+    _tangent_sweep(planes, d, solid, q, d, about)
 
 
 @scratch_parallel
@@ -276,8 +266,19 @@ def diagonal(thread, tangent, q, out):
             _diagonal_plane(tangent, q, z, out)
 
 
-@callee
-def _image_plane(d, tangent, q, z, f, out):
+@shared
+def _read_tangents(tangent, z, y, begin, count, f):
+    """Return whether any element of a block is tissue."""
+    most, shear = float32(0), tangent[_SHEAR, z, y, begin : begin + count]
+    for x in range(count):
+        most = max(most, shear[x])
+    return most > 0
+
+
+@shared
+def _add_image(d, q, block, f, points, about):
+    z, y, begin, count = block
+    tangent, out = about
     one = f.dtype.type
     q0, q1, q2 = q[0], q[1], q[2]
     third, ninth, none, least = one(1 / 3), one(1 / 9), one(0), one(1e-12)
@@ -287,84 +288,78 @@ def _image_plane(d, tangent, q, z, f, out):
         third * (q1 * q1 + q2 * q2),
     )
     h111 = ninth * (q0 * q0 + q1 * q1 + q2 * q2)
-    for y in range(2, d.shape[2] - 2):
-        for begin in range(2, d.shape[3] - 2, BLOCK):
-            count = min(BLOCK, d.shape[3] - 2 - begin)
-            past = begin + count
-            t0, t1, t2 = (
-                tangent[0, z, y, begin:past],
-                tangent[1, z, y, begin:past],
-                tangent[2, z, y, begin:past],
-            )
-            t3, t4, t5 = (
-                tangent[3, z, y, begin:past],
-                tangent[4, z, y, begin:past],
-                tangent[5, z, y, begin:past],
-            )
-            t6, t7, t8 = (
-                tangent[6, z, y, begin:past],
-                tangent[7, z, y, begin:past],
-                tangent[8, z, y, begin:past],
-            )
-            shear, slopes = tangent[_SHEAR, z, y, begin:past], tangent[_SLOPE, z, y, begin:past]
-            bends = tangent[_BEND, z, y, begin:past]
-            most = one(0)
-            for x in range(count):
-                most = max(most, shear[x])
-            if most <= 0:
-                continue
-            modes(d, z, y, begin, count, f, MODES)
-            for x in range(count):
-                mu, slope, bend = shear[x], slopes[x], bends[x]
-                m = (t0[x], t1[x], t2[x], t3[x], t4[x], t5[x], t6[x], t7[x], t8[x])
-                c = cofactor(m)
-                at = line(MODES) + x
-                w = (
-                    q0 * f[at], q1 * f[at + STEP], q2 * f[at + 2 * STEP],
-                    q0 * f[at + 7 * STEP], q1 * f[at + 8 * STEP], q2 * f[at + 9 * STEP],
-                    q0 * f[at + 14 * STEP], q1 * f[at + 15 * STEP], q2 * f[at + 16 * STEP],
-                )  # fmt: skip
-                turn = twisted(m, w)
-                tilt = bend * product(c, w)
-                to = line(PULLS) + x
-                f[to] = q0 * (mu * w[0] + tilt * c[0] + slope * turn[0])
-                f[to + STEP] = q1 * (mu * w[1] + tilt * c[1] + slope * turn[1])
-                f[to + 2 * STEP] = q2 * (mu * w[2] + tilt * c[2] + slope * turn[2])
-                f[to + 7 * STEP] = q0 * (mu * w[3] + tilt * c[3] + slope * turn[3])
-                f[to + 8 * STEP] = q1 * (mu * w[4] + tilt * c[4] + slope * turn[4])
-                f[to + 9 * STEP] = q2 * (mu * w[5] + tilt * c[5] + slope * turn[5])
-                f[to + 14 * STEP] = q0 * (mu * w[6] + tilt * c[6] + slope * turn[6])
-                f[to + 15 * STEP] = q1 * (mu * w[7] + tilt * c[7] + slope * turn[7])
-                f[to + 16 * STEP] = q2 * (mu * w[8] + tilt * c[8] + slope * turn[8])
-            for x in range(count):
-                m = (t0[x], t1[x], t2[x], t3[x], t4[x], t5[x], t6[x], t7[x], t8[x])
-                c = cofactor(m)
-                mu, volume = shear[x], determinant(m)
-                dense = mu / max(volume * volume, least)
-                # Changes of volume that vary along one axis, and along two axes.
-                a = b = e = ab = ae = be = none
-                for k in range(3):
-                    at = line(MODES + 7 * k) + x
-                    m110, m101 = f[at + 3 * STEP], f[at + 4 * STEP]
-                    m011, m111 = f[at + 5 * STEP], f[at + 6 * STEP]
-                    c0, c1, c2 = q0 * c[3 * k], q1 * c[3 * k + 1], q2 * c[3 * k + 2]
-                    a += c1 * m110 + c2 * m101
-                    b += c0 * m110 + c2 * m011
-                    e += c0 * m101 + c1 * m011
-                    ab += c2 * m111
-                    ae += c1 * m111
-                    be += c0 * m111
-                one_third, one_ninth = dense * third, dense * ninth
-                a, b, e = one_third * a, one_third * b, one_third * e
-                ab, ae, be = one_ninth * ab, one_ninth * ae, one_ninth * be
-                for k in range(3):
-                    at, to = line(MODES + 7 * k) + x, line(PULLS + 7 * k) + x
-                    c0, c1, c2 = q0 * c[3 * k], q1 * c[3 * k + 1], q2 * c[3 * k + 2]
-                    f[to + 3 * STEP] = mu * h110 * f[at + 3 * STEP] + (c1 * a + c0 * b)
-                    f[to + 4 * STEP] = mu * h101 * f[at + 4 * STEP] + (c2 * a + c0 * e)
-                    f[to + 5 * STEP] = mu * h011 * f[at + 5 * STEP] + (c2 * b + c1 * e)
-                    f[to + 6 * STEP] = mu * h111 * f[at + 6 * STEP] + (c2 * ab + c1 * ae + c0 * be)
-            add_pulls(f, z, y, begin, count, out)
+    past = begin + count
+    t0, t1, t2 = (
+        tangent[0, z, y, begin:past],
+        tangent[1, z, y, begin:past],
+        tangent[2, z, y, begin:past],
+    )
+    t3, t4, t5 = (
+        tangent[3, z, y, begin:past],
+        tangent[4, z, y, begin:past],
+        tangent[5, z, y, begin:past],
+    )
+    t6, t7, t8 = (
+        tangent[6, z, y, begin:past],
+        tangent[7, z, y, begin:past],
+        tangent[8, z, y, begin:past],
+    )
+    shear, slopes = tangent[_SHEAR, z, y, begin:past], tangent[_SLOPE, z, y, begin:past]
+    bends = tangent[_BEND, z, y, begin:past]
+    for x in range(count):
+        mu, slope, bend = shear[x], slopes[x], bends[x]
+        m = (t0[x], t1[x], t2[x], t3[x], t4[x], t5[x], t6[x], t7[x], t8[x])
+        c = cofactor(m)
+        at = line(MODES) + x
+        w = (
+            q0 * f[at], q1 * f[at + STEP], q2 * f[at + 2 * STEP],
+            q0 * f[at + 7 * STEP], q1 * f[at + 8 * STEP], q2 * f[at + 9 * STEP],
+            q0 * f[at + 14 * STEP], q1 * f[at + 15 * STEP], q2 * f[at + 16 * STEP],
+        )  # fmt: skip
+        turn = twisted(m, w)
+        tilt = bend * product(c, w)
+        to = line(PULLS) + x
+        f[to] = q0 * (mu * w[0] + tilt * c[0] + slope * turn[0])
+        f[to + STEP] = q1 * (mu * w[1] + tilt * c[1] + slope * turn[1])
+        f[to + 2 * STEP] = q2 * (mu * w[2] + tilt * c[2] + slope * turn[2])
+        f[to + 7 * STEP] = q0 * (mu * w[3] + tilt * c[3] + slope * turn[3])
+        f[to + 8 * STEP] = q1 * (mu * w[4] + tilt * c[4] + slope * turn[4])
+        f[to + 9 * STEP] = q2 * (mu * w[5] + tilt * c[5] + slope * turn[5])
+        f[to + 14 * STEP] = q0 * (mu * w[6] + tilt * c[6] + slope * turn[6])
+        f[to + 15 * STEP] = q1 * (mu * w[7] + tilt * c[7] + slope * turn[7])
+        f[to + 16 * STEP] = q2 * (mu * w[8] + tilt * c[8] + slope * turn[8])
+    for x in range(count):
+        m = (t0[x], t1[x], t2[x], t3[x], t4[x], t5[x], t6[x], t7[x], t8[x])
+        c = cofactor(m)
+        mu, volume = shear[x], determinant(m)
+        dense = mu / max(volume * volume, least)
+        # Changes of volume that vary along one axis, and along two axes.
+        a = b = e = ab = ae = be = none
+        for k in range(3):
+            at = line(MODES + 7 * k) + x
+            m110, m101 = f[at + 3 * STEP], f[at + 4 * STEP]
+            m011, m111 = f[at + 5 * STEP], f[at + 6 * STEP]
+            c0, c1, c2 = q0 * c[3 * k], q1 * c[3 * k + 1], q2 * c[3 * k + 2]
+            a += c1 * m110 + c2 * m101
+            b += c0 * m110 + c2 * m011
+            e += c0 * m101 + c1 * m011
+            ab += c2 * m111
+            ae += c1 * m111
+            be += c0 * m111
+        one_third, one_ninth = dense * third, dense * ninth
+        a, b, e = one_third * a, one_third * b, one_third * e
+        ab, ae, be = one_ninth * ab, one_ninth * ae, one_ninth * be
+        for k in range(3):
+            at, to = line(MODES + 7 * k) + x, line(PULLS + 7 * k) + x
+            c0, c1, c2 = q0 * c[3 * k], q1 * c[3 * k + 1], q2 * c[3 * k + 2]
+            f[to + 3 * STEP] = mu * h110 * f[at + 3 * STEP] + (c1 * a + c0 * b)
+            f[to + 4 * STEP] = mu * h101 * f[at + 4 * STEP] + (c2 * a + c0 * e)
+            f[to + 5 * STEP] = mu * h011 * f[at + 5 * STEP] + (c2 * b + c1 * e)
+            f[to + 6 * STEP] = mu * h111 * f[at + 6 * STEP] + (c2 * ab + c1 * ae + c0 * be)
+    add_pulls(f, z, y, begin, count, out)
+
+
+_image_sweep = sweep_of(_read_tangents, _add_image)
 
 
 @by_parity
@@ -373,9 +368,8 @@ def image(thread, d, tangent, q, out):
     if thread[2] == 0:
         clear(thread, out)
     else:
-        for z in planes_of_turn(thread, d.shape[1]):
-            f = np.zeros(FLOATS, dtype=d.dtype)
-            _image_plane(d, tangent, q, z, f, out)
+        planes = planes_of_turn(thread, d.shape[1])
+        _image_sweep(planes, d, tangent, q, d, (tangent, out))
 
 
 @parallel

@@ -16,6 +16,7 @@ before those of odd planes, so that no two threads add to the same site.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -31,7 +32,7 @@ from napari_hmrf.solver.backends.cpu.compiled import (
     scratch_parallel,
     shared,
 )
-from napari_hmrf.solver.backends.cpu.forces import clear, planes_of_turn
+from napari_hmrf.solver.backends.cpu.forces import clear, planes_of, planes_of_turn
 
 #: Number of elements of a block; a line of scratch memory has room for all elements of a block.
 BLOCK = 64
@@ -279,45 +280,76 @@ def bound_below(f, q, count):
         f[line(LOW) + x] = f[line(GAIN) + x] * (mean - f[line(LIVE) + x] * apart)
 
 
-@callee
-def _energy_plane(d, solid, q, barrier, z, f, points, edges, net):
-    sides = q[0], q[1], q[2]
-    strength, start = barrier
-    total, least = 0.0, np.inf
-    for y in range(2, d.shape[2] - 2):
-        for begin in range(2, d.shape[3] - 2, BLOCK):
-            count = min(BLOCK, d.shape[3] - 2 - begin)
-            if not read_solid(solid, z, y, begin, count, f):
-                continue
-            modes(d, z, y, begin, count, f, MODES)
-            bound_below(f, sides, count)
-            volumes(f, points, sides, count)
-            for x in range(count):
-                f[line(STRETCH) + x], f[line(PRODUCT) + x] = 0.0, 1.0
-            for n in range(8):
-                s, t, r = place(n, _POINT)
-                jacobians = of_points(points, _JACOBIANS + n)
-                for x in range(count):
-                    m = deformed(f, x, sides, s, t, r)
-                    p = times_growth(f, SQUARE, x, m)
-                    f[line(STRETCH) + x] += product(m, p)
-                    f[line(PRODUCT) + x] *= f[line(GAIN) + x] * jacobians[x]
-            for x in range(count):
-                mu, lam = f[line(MU) + x], f[line(LAM) + x]
-                if mu <= 0:
-                    continue
-                gain, low = f[line(GAIN) + x], f[line(LOW) + x]
-                if low < start:
-                    low, wall = barrier_energy(d, z, y, begin + x, q, gain, start, edges, net)
-                    total += strength * mu * wall
-                least = min(least, low)
-                if low <= 0:
-                    continue
-                volume = f[line(VOLUME) + x]
-                total += 0.5 * mu * (0.125 * f[line(STRETCH) + x] - 3.0)
-                total -= 0.125 * mu * math.log(f[line(PRODUCT) + x])
-                total += lam * (0.25 * (volume * volume - 1.0) - 0.5 * math.log(volume))
-    return total, least
+def sweep_of(read: Any, finish: Any) -> Any:
+    """Return a loop over the blocks of elements of some planes.
+
+    Parameters
+    ----------
+    read : callable
+        Compiled function ``read(model, z, y, begin, count, f)`` that copies parameters of a block
+        of elements to the scratch lines `f`, and returns whether any of them is tissue.
+    finish : callable
+        Compiled function ``finish(d, q, block, f, points, about)``, called for each block with
+        tissue, when the modes of its displacement are in scratch lines. `block` is
+        (z, y, begin, count). The loop passes on `about`.
+
+    Returns
+    -------
+    callable
+        Loop ``sweep(planes, d, model, q, like, about)`` in the precision of the array `like`.
+    """
+
+    @callee
+    def sweep(planes, d, model, q, like, about):
+        sides = q[0], q[1], q[2]
+        f, points = np.zeros(FLOATS, like.dtype), np.zeros(POINTS, like.dtype)
+        for z in planes:
+            for y in range(2, d.shape[2] - 2):
+                for begin in range(2, d.shape[3] - 2, BLOCK):
+                    count = min(BLOCK, d.shape[3] - 2 - begin)
+                    if read(model, z, y, begin, count, f):
+                        modes(d, z, y, begin, count, f, MODES)
+                        finish(d, sides, (z, y, begin, count), f, points, about)
+
+    return sweep
+
+
+@shared
+def _add_energy(d, q, block, f, points, about):
+    z, y, begin, count = block
+    strength, start, energies, least, edges, net = about
+    bound_below(f, q, count)
+    volumes(f, points, q, count)
+    for x in range(count):
+        f[line(STRETCH) + x], f[line(PRODUCT) + x] = 0.0, 1.0
+    for n in range(8):
+        s, t, r = place(n, _POINT)
+        jacobians = of_points(points, _JACOBIANS + n)
+        for x in range(count):
+            m = deformed(f, x, q, s, t, r)
+            p = times_growth(f, SQUARE, x, m)
+            f[line(STRETCH) + x] += product(m, p)
+            f[line(PRODUCT) + x] *= f[line(GAIN) + x] * jacobians[x]
+    total, lowest = energies[z - 2], least[z - 2]
+    for x in range(count):
+        mu, lam = f[line(MU) + x], f[line(LAM) + x]
+        if mu <= 0:
+            continue
+        gain, low = f[line(GAIN) + x], f[line(LOW) + x]
+        if low < start:
+            low, wall = barrier_energy(d, z, y, begin + x, q, gain, start, edges, net)
+            total += strength * mu * wall
+        lowest = min(lowest, low)
+        if low <= 0:
+            continue
+        volume = f[line(VOLUME) + x]
+        total += 0.5 * mu * (0.125 * f[line(STRETCH) + x] - 3.0)
+        total -= 0.125 * mu * math.log(f[line(PRODUCT) + x])
+        total += lam * (0.25 * (volume * volume - 1.0) - 0.5 * math.log(volume))
+    energies[z - 2], least[z - 2] = total, lowest
+
+
+_energy_sweep = sweep_of(read_solid, _add_energy)
 
 
 @scratch_parallel
@@ -327,11 +359,11 @@ def energy(thread, d, solid, q, barrier, energies, least):
     The bound is the least Bernstein coefficient where it is less than the start of the barrier.
     Folded elements contribute no energy. `barrier` has the strength and the start of the barrier.
     """
-    for n in portion(thread, d.shape[1] - 4):
-        f, points = np.zeros(FLOATS), np.zeros(POINTS)
-        edges, net = np.empty((3, 4, 3)), np.empty(27)
-        made = _energy_plane(d, solid, q, barrier, n + 2, f, points, edges, net)
-        energies[n], least[n] = made
+    planes = planes_of(thread, d.shape[1])
+    for z in planes:
+        energies[z - 2], least[z - 2] = 0.0, np.inf
+    about = (*barrier, energies, least, np.empty((3, 4, 3)), np.empty(27))
+    _energy_sweep(planes, d, solid, q, d, about)
 
 
 @shared
@@ -404,44 +436,38 @@ def _combined(a, m, b, n, c, w):
     )
 
 
-@callee
-def _forces_plane(d, solid, q, barrier, z, f, points, edges, net, pulls, out):
-    sides = q[0], q[1], q[2]
-    strength, start = barrier
-    for y in range(2, d.shape[2] - 2):
-        for begin in range(2, d.shape[3] - 2, BLOCK):
-            count = min(BLOCK, d.shape[3] - 2 - begin)
-            if not read_solid(solid, z, y, begin, count, f):
-                continue
-            modes(d, z, y, begin, count, f, MODES)
-            bound_below(f, sides, count)
-            volumes(f, points, sides, count)
-            clear_pulls(f, count)
-            for n in range(8):
-                s, t, r = place(n, _POINT)
-                jacobians = of_points(points, _JACOBIANS + n)
-                for x in range(count):
-                    m = deformed(f, x, sides, s, t, r)
-                    cof = cofactor(m)
-                    volume, gain = f[line(VOLUME) + x], f[line(GAIN) + x]
-                    mu = 0.125 * f[line(MU) + x]
-                    slope = 0.0625 * f[line(LAM) + x] * gain * (volume - 1.0 / volume)
-                    slope -= mu / jacobians[x]
-                    same = times_growth(f, SQUARE, x, m)
-                    stresses = _combined(mu, same, slope, cof, 0.0, cof)
-                    _add_stresses(f, x, sides, s, t, r, stresses)
-            for x in range(count):
-                if f[line(LOW) + x] < start and f[line(MU) + x] > 0:
-                    scale = strength * f[line(MU) + x]
-                    gain = f[line(GAIN) + x]
-                    barrier_forces(
-                        d, z, y, begin + x, q, gain, start, scale, edges, net, pulls, out
-                    )
-            for n in range(21):
-                for x in range(count):
-                    if f[line(MU) + x] <= 0:
-                        f[line(PULLS + n) + x] = 0.0
-            add_pulls(f, z, y, begin, count, out)
+@shared
+def _add_forces(d, q, block, f, points, about):
+    z, y, begin, count = block
+    strength, start, out, edges, net, pulls = about
+    bound_below(f, q, count)
+    volumes(f, points, q, count)
+    clear_pulls(f, count)
+    for n in range(8):
+        s, t, r = place(n, _POINT)
+        jacobians = of_points(points, _JACOBIANS + n)
+        for x in range(count):
+            m = deformed(f, x, q, s, t, r)
+            cof = cofactor(m)
+            volume, gain = f[line(VOLUME) + x], f[line(GAIN) + x]
+            mu = 0.125 * f[line(MU) + x]
+            slope = 0.0625 * f[line(LAM) + x] * gain * (volume - 1.0 / volume)
+            slope -= mu / jacobians[x]
+            same = times_growth(f, SQUARE, x, m)
+            stresses = _combined(mu, same, slope, cof, 0.0, cof)
+            _add_stresses(f, x, q, s, t, r, stresses)
+    for x in range(count):
+        if f[line(LOW) + x] < start and f[line(MU) + x] > 0:
+            scale, gain = strength * f[line(MU) + x], f[line(GAIN) + x]
+            barrier_forces(d, z, y, begin + x, q, gain, start, scale, edges, net, pulls, out)
+    for n in range(21):
+        for x in range(count):
+            if f[line(MU) + x] <= 0:
+                f[line(PULLS + n) + x] = 0.0
+    add_pulls(f, z, y, begin, count, out)
+
+
+_force_sweep = sweep_of(read_solid, _add_forces)
 
 
 @by_parity
@@ -450,11 +476,9 @@ def forces(thread, d, solid, q, barrier, out):
     if thread[2] == 0:
         clear(thread, out)
     else:
-        for z in planes_of_turn(thread, d.shape[1]):
-            f, points = np.zeros(FLOATS), np.zeros(POINTS)
-            edges, net = np.empty((3, 4, 3)), np.empty(27)
-            pulls = np.empty((3, 4, 3))
-            _forces_plane(d, solid, q, barrier, z, f, points, edges, net, pulls, out)
+        edges, net, pulls = np.empty((3, 4, 3)), np.empty(27), np.empty((3, 4, 3))
+        planes, about = planes_of_turn(thread, d.shape[1]), (*barrier, out, edges, net, pulls)
+        _force_sweep(planes, d, solid, q, d, about)
 
 
 @shared
@@ -472,66 +496,64 @@ def largest_stretch(m):
     return math.sqrt(mean + 2 * apart)
 
 
-@callee
-def _image_plane(d, way, solid, q, positive, z, f, points, out):
-    sides = q[0], q[1], q[2]
+@shared
+def _add_image(d, q, block, f, points, about):
+    z, y, begin, count = block
+    way, positive, out = about
     point, eighth, one = f.dtype.type(_POINT), f.dtype.type(0.125), f.dtype.type(1)
     half, most = f.dtype.type(0.5), f.dtype.type(1 - LEAST)
-    for y in range(2, d.shape[2] - 2):
-        for begin in range(2, d.shape[3] - 2, BLOCK):
-            count = min(BLOCK, d.shape[3] - 2 - begin)
-            if not read_solid(solid, z, y, begin, count, f):
-                continue
-            modes(d, z, y, begin, count, f, MODES)
-            modes(way, z, y, begin, count, f, WAYS)
-            volumes(f, points, sides, count)
-            clear_pulls(f, count)
+    modes(way, z, y, begin, count, f, WAYS)
+    volumes(f, points, q, count)
+    clear_pulls(f, count)
+    for x in range(count):
+        f[line(RATE) + x] = 0
+    for n in range(8):
+        s, t, r = place(n, point)
+        jacobians = of_points(points, _JACOBIANS + n)
+        tilts, slopes = of_points(points, _TILTS + n), of_points(points, _SLOPES + n)
+        for x in range(count):
+            m = deformed(f, x, q, s, t, r)
+            cof = cofactor(m)
+            w = _gradients(f, WAYS, x, q, s, t, r)
+            tilt = product(cof, w)
+            tilts[x] = tilt
+            f[line(RATE) + x] += tilt
+            volume = f[line(VOLUME) + x]
+            slope = half * f[line(LAM) + x] * f[line(GAIN) + x] * (volume - one / volume)
+            slope -= f[line(MU) + x] / jacobians[x]
+            slopes[x] = slope
+        if positive > 0:
             for x in range(count):
-                f[line(RATE) + x] = 0
-            for n in range(8):
-                s, t, r = place(n, point)
-                jacobians = of_points(points, _JACOBIANS + n)
-                tilts, slopes = of_points(points, _TILTS + n), of_points(points, _SLOPES + n)
-                for x in range(count):
-                    m = deformed(f, x, sides, s, t, r)
-                    cof = cofactor(m)
-                    w = _gradients(f, WAYS, x, sides, s, t, r)
-                    tilt = product(cof, w)
-                    tilts[x] = tilt
-                    f[line(RATE) + x] += tilt
-                    volume = f[line(VOLUME) + x]
-                    slope = half * f[line(LAM) + x] * f[line(GAIN) + x] * (volume - one / volume)
-                    slope -= f[line(MU) + x] / jacobians[x]
-                    slopes[x] = slope
-                if positive > 0:
-                    for x in range(count):
-                        m = times_growth(f, GROWTH, x, deformed(f, x, sides, s, t, r))
-                        bound = most * f[line(MU) + x] * f[line(GAIN) + x] / largest_stretch(m)
-                        slope = slopes[x]
-                        safe = min(max(slope, -bound), bound)
-                        slopes[x] = slope + positive * (safe - slope)
-            for n in range(8):
-                s, t, r = place(n, point)
-                jacobians = of_points(points, _JACOBIANS + n)
-                tilts, slopes = of_points(points, _TILTS + n), of_points(points, _SLOPES + n)
-                for x in range(count):
-                    m = deformed(f, x, sides, s, t, r)
-                    cof = cofactor(m)
-                    w = _gradients(f, WAYS, x, sides, s, t, r)
-                    turn = twisted(m, w)
-                    mu, jacobian = eighth * f[line(MU) + x], jacobians[x]
-                    slope = eighth * slopes[x]
-                    volume, gain = f[line(VOLUME) + x], f[line(GAIN) + x]
-                    bend = (mu / (jacobian * jacobian)) * tilts[x]
-                    stiff = half * f[line(LAM) + x] * (one + one / (volume * volume))
-                    bend += eighth * eighth * gain * gain * stiff * f[line(RATE) + x]
-                    same = times_growth(f, SQUARE, x, w)
-                    stresses = _combined(mu, same, slope, turn, bend, cof)
-                    _add_stresses(f, x, sides, s, t, r, stresses)
-            for n in range(21):
-                for x in range(count):
-                    f[line(PULLS + n) + x] *= f[line(LIVE) + x]
-            add_pulls(f, z, y, begin, count, out)
+                m = times_growth(f, GROWTH, x, deformed(f, x, q, s, t, r))
+                bound = most * f[line(MU) + x] * f[line(GAIN) + x] / largest_stretch(m)
+                slope = slopes[x]
+                safe = min(max(slope, -bound), bound)
+                slopes[x] = slope + positive * (safe - slope)
+    for n in range(8):
+        s, t, r = place(n, point)
+        jacobians = of_points(points, _JACOBIANS + n)
+        tilts, slopes = of_points(points, _TILTS + n), of_points(points, _SLOPES + n)
+        for x in range(count):
+            m = deformed(f, x, q, s, t, r)
+            cof = cofactor(m)
+            w = _gradients(f, WAYS, x, q, s, t, r)
+            turn = twisted(m, w)
+            mu, jacobian = eighth * f[line(MU) + x], jacobians[x]
+            slope = eighth * slopes[x]
+            volume, gain = f[line(VOLUME) + x], f[line(GAIN) + x]
+            bend = (mu / (jacobian * jacobian)) * tilts[x]
+            stiff = half * f[line(LAM) + x] * (one + one / (volume * volume))
+            bend += eighth * eighth * gain * gain * stiff * f[line(RATE) + x]
+            same = times_growth(f, SQUARE, x, w)
+            stresses = _combined(mu, same, slope, turn, bend, cof)
+            _add_stresses(f, x, q, s, t, r, stresses)
+    for n in range(21):
+        for x in range(count):
+            f[line(PULLS + n) + x] *= f[line(LIVE) + x]
+    add_pulls(f, z, y, begin, count, out)
+
+
+_image_sweep = sweep_of(read_solid, _add_image)
 
 
 @by_parity
@@ -544,46 +566,42 @@ def image(thread, d, way, solid, q, positive, out):
     if thread[2] == 0:
         clear(thread, out)
     else:
-        for z in planes_of_turn(thread, d.shape[1]):
-            f = np.zeros(FLOATS, dtype=way.dtype)
-            points = np.zeros(POINTS, dtype=way.dtype)
-            _image_plane(d, way, solid, q, positive, z, f, points, out)
+        planes = planes_of_turn(thread, d.shape[1])
+        _image_sweep(planes, d, solid, q, way, (way, positive, out))
 
 
-@callee
-def _length_plane(d, way, solid, q, part, floor, z, f, work, each):
-    sides = q[0], q[1], q[2]
-    none, least = 0.0, np.inf
-    for y in range(2, d.shape[2] - 2):
-        for begin in range(2, d.shape[3] - 2, BLOCK):
-            count = min(BLOCK, d.shape[3] - 2 - begin)
-            if not read_solid(solid, z, y, begin, count, f):
-                continue
-            modes(d, z, y, begin, count, f, MODES)
-            modes(way, z, y, begin, count, f, WAYS)
-            for x in range(count):
-                m = deformed(f, x, sides, none, none, none)
-                mean = determinant(m)
-                a, b, c = _column_norms(m)
-                of_a, of_b, of_c = _spread_of(f, MODES, x, sides)
-                high = mean + (a + of_a) * (b + of_b) * (c + of_c) - a * b * c
-                to_a, to_b, to_c = _spread_of(f, WAYS, x, sides)
-                by_a, by_b, by_c = _column_norms(_gradients(f, WAYS, x, sides, none, none, none))
-                to_a, to_b, to_c = to_a + of_a + by_a, to_b + of_b + by_b, to_c + of_c + by_c
-                low = mean + a * b * c - (a + to_a) * (b + to_b) * (c + to_c)
-                gain = f[line(GAIN) + x]
-                f[line(LOW) + x] = gain * low - max(part * gain * high, min(gain * high, floor))
-            for x in range(count):
-                if f[line(MU) + x] <= 0:
-                    continue
-                here = np.inf
-                if f[line(LOW) + x] < 0:
-                    gain = f[line(GAIN) + x]
-                    here = longest_step(d, way, z, y, begin + x, q, part, floor, gain, work)
-                if each.size > 0:
-                    each[z, y, begin + x] = here
-                least = min(least, here)
-    return least
+@shared
+def _shorten(d, q, block, f, points, about):
+    z, y, begin, count = block
+    way, part, floor, lengths, each, work = about
+    none, least = 0.0, lengths[z - 2]
+    modes(way, z, y, begin, count, f, WAYS)
+    for x in range(count):
+        m = deformed(f, x, q, none, none, none)
+        mean = determinant(m)
+        a, b, c = _column_norms(m)
+        of_a, of_b, of_c = _spread_of(f, MODES, x, q)
+        high = mean + (a + of_a) * (b + of_b) * (c + of_c) - a * b * c
+        to_a, to_b, to_c = _spread_of(f, WAYS, x, q)
+        by_a, by_b, by_c = _column_norms(_gradients(f, WAYS, x, q, none, none, none))
+        to_a, to_b, to_c = to_a + of_a + by_a, to_b + of_b + by_b, to_c + of_c + by_c
+        low = mean + a * b * c - (a + to_a) * (b + to_b) * (c + to_c)
+        gain = f[line(GAIN) + x]
+        f[line(LOW) + x] = gain * low - max(part * gain * high, min(gain * high, floor))
+    for x in range(count):
+        if f[line(MU) + x] <= 0:
+            continue
+        here = np.inf
+        if f[line(LOW) + x] < 0:
+            gain = f[line(GAIN) + x]
+            here = longest_step(d, way, z, y, begin + x, q, part, floor, gain, work)
+        if each.size > 0:
+            each[z, y, begin + x] = here
+        least = min(least, here)
+    lengths[z - 2] = least
+
+
+_length_sweep = sweep_of(read_solid, _shorten)
 
 
 @scratch_parallel
@@ -593,11 +611,13 @@ def length(thread, d, way, solid, q, part, floor, plane_length, each):
     Each Bernstein coefficient stays at least `part` of its present value, and above `floor`; see
     `bernstein.longest_step`. Unless `each` is empty, it gets the largest step of each element.
     """
-    for n in portion(thread, d.shape[1] - 4):
-        f, edges, ways = np.zeros(FLOATS), np.empty((3, 4, 3)), np.empty((3, 4, 3))
-        moved, nets = np.empty((3, 4, 3)), np.empty((4, 27))
-        work = edges, ways, moved, nets[0], nets[1], nets[2], nets[3]
-        plane_length[n] = _length_plane(d, way, solid, q, part, floor, n + 2, f, work, each)
+    planes = planes_of(thread, d.shape[1])
+    for z in planes:
+        plane_length[z - 2] = np.inf
+    edges, ways, moved = np.empty((3, 4, 3)), np.empty((3, 4, 3)), np.empty((3, 4, 3))
+    nets = np.empty((4, 27))
+    work = edges, ways, moved, nets[0], nets[1], nets[2], nets[3]
+    _length_sweep(planes, d, solid, q, d, (way, part, floor, plane_length, each, work))
 
 
 @callee

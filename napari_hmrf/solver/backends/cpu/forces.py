@@ -204,6 +204,13 @@ def clear(thread, out):
 
 
 @inline
+def planes_of(thread, planes):
+    """Return a thread's planes of elements, out of the planes of an array."""
+    begin, end = bounds_of_part(thread[0], thread[1], planes - 4)
+    return range(begin + 2, end + 2)
+
+
+@inline
 def planes_of_turn(thread, planes):
     """Return a thread's planes of elements in turn 1 or 2, out of the planes of an array."""
     odd = thread[2] - 1
