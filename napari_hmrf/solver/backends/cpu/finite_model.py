@@ -91,7 +91,7 @@ class TangentLevel(CpuLevel):
 
     def apply(self, direction: Vector, image: Vector) -> float:
         """Compute ``image = A @ direction`` for the full system; return ``direction . image``."""
-        about = direction, self.solved, self.inverse, True, *self._springs, image, self._rows
+        about = direction, self.solved, self.inverse, *self._springs, image, self._rows
         tangents.apply(*about, self.parts)
         if self.data is not None:
             return self._add_data_image(direction, image)

@@ -24,7 +24,9 @@ from napari_hmrf.solver.backends.cpu.compiled import (
     disjoint_parallel,
     inline,
     portion,
+    shared,
 )
+from napari_hmrf.solver.backends.cpu.forces import site_sweep_of
 
 # Indices of the parameters of an element in `solid`.
 SHEAR, FIRST, WHOLE, TWIST, RR, RC, CC = np.arange(7)
@@ -93,23 +95,83 @@ def barrier(j, start):
 
 
 @callee
+def walls(jacobians, start):
+    """Return the sum of the barrier functions of an element's corners, and its derivatives.
+
+    Parameters
+    ----------
+    jacobians : tuple of 3 floats
+        Mean Jacobian, and its increments toward the next row and the next column.
+    start : float
+        Threshold of the barrier.
+
+    Returns
+    -------
+    value : float
+        Sum of the barrier functions.
+    slopes : tuple of 3 floats
+        First derivatives with respect to the three numbers.
+    bends : tuple of 4 floats
+        Second derivatives: the one in the diagonal, which is the same for all three numbers, and
+        those for the numbers 0 and 1, 0 and 2, and 1 and 2.
+    """
+    mean, down, right = jacobians
+    value = slope_0 = slope_1 = slope_2 = 0.0
+    bend = bend_01 = bend_02 = bend_12 = 0.0
+    for corner in range(4):
+        s, t = (1.0 if corner >= 2 else -1.0), (1.0 if corner % 2 else -1.0)
+        own, one, two = barrier(mean + s * down + t * right, start)
+        value += own
+        slope_0, slope_1, slope_2 = slope_0 + one, slope_1 + s * one, slope_2 + t * one
+        bend, bend_12 = bend + two, bend_12 + s * t * two
+        bend_01, bend_02 = bend_01 + s * two, bend_02 + t * two
+    return value, (slope_0, slope_1, slope_2), (bend, bend_01, bend_02, bend_12)
+
+
+@shared
+def smallest(jacobians):
+    """Return the smallest corner Jacobian, from the mean and its increments."""
+    mean, down, right = jacobians
+    return mean - abs(down) - abs(right)
+
+
+@shared
+def state(d, solid, about, i, j):
+    """Return the deformation of element (i, j).
+
+    Returns
+    -------
+    sides : tuple of 6 floats
+        Result of `deformed`.
+    free : tuple of 4 floats
+        Sides without growth.
+    gain : float
+        Factor that removes growth from a Jacobian.
+    jacobians : tuple of 3 floats
+        Result of `volumes`, without growth.
+    """
+    rows, cols = about[0], about[1]
+    sides = deformed(d, i, j, rows, cols)
+    a0, a1, b0, b1, x0, x1 = sides
+    e0, e1, f0, f1, gain = elastic(a0, a1, b0, b1, solid, i, j)
+    mean, down, right = volumes(a0, a1, b0, b1, x0, x1, rows, cols)
+    return sides, (e0, e1, f0, f1), gain, (gain * mean, gain * down, gain * right)
+
+
+@callee
 def _energy_part(d, solid, about, row_energy, row_least, first, last):
-    rows, cols, bulges, strength, start = about
-    for i in range(first + 2, last + 2):
+    _, _, bulges, strength, start = about
+    for i in range(first, last):
         total, least = 0.0, np.inf
         for j in range(2, d.shape[2] - 2):
-            shear = solid[SHEAR, i, j]
+            shear, lam, whole = solid[SHEAR, i, j], solid[FIRST, i, j], solid[WHOLE, i, j]
             if shear <= 0:
                 continue
-            a0, a1, b0, b1, x0, x1 = deformed(d, i, j, rows, cols)
-            mean, down, right = volumes(a0, a1, b0, b1, x0, x1, rows, cols)
-            low = mean - abs(down) - abs(right)
-            least = min(least, low)
+            sides, (a0, a1, b0, b1), gain, jacobians = state(d, solid, about, i, j)
+            low, mean = smallest(jacobians), jacobians[0]
+            least = min(least, low / gain)
             if low <= 0:
                 continue
-            a0, a1, b0, b1, gain = elastic(a0, a1, b0, b1, solid, i, j)
-            mean, down, right, low = gain * mean, gain * down, gain * right, gain * low
-            lam, whole = solid[FIRST, i, j], solid[WHOLE, i, j]
             # Computing the energy relative to the rest state preserves more digits.
             stretch = (a0 * a0 + a1 * a1 + b0 * b0 + b1 * b1) - 2.0
             if bulges:
@@ -118,15 +180,9 @@ def _energy_part(d, solid, about, row_energy, row_least, first, last):
             else:
                 volume = 0.25 * lam * (mean * mean - 1.0) - whole * math.log(mean)
             here = 0.5 * shear * stretch + volume
-            here += 0.5 * solid[TWIST, i, j] * (x0 * x0 + x1 * x1)
+            here += 0.5 * solid[TWIST, i, j] * (sides[4] * sides[4] + sides[5] * sides[5])
             if low < start:
-                wall = (
-                    barrier(mean - down - right, start)[0]
-                    + barrier(mean - down + right, start)[0]
-                    + barrier(mean + down - right, start)[0]
-                    + barrier(mean + down + right, start)[0]
-                )
-                here += 0.25 * strength * shear * wall
+                here += 0.25 * strength * shear * walls(jacobians, start)[0]
             total += here
         row_energy[i - 2] = total
         row_least[i - 2] = least
@@ -138,72 +194,54 @@ def energy(thread, d, solid, about, row_energy, row_least, count):
 
     The Jacobian includes growth. Folded elements contribute no energy.
     """
-    height = len(row_energy)
     for number in portion(thread, count):
-        first, last = bounds_of_part(number, count, height)
-        _energy_part(d, solid, about, row_energy, row_least, first, last)
+        first, last = bounds_of_part(number, count, len(row_energy))
+        _energy_part(d, solid, about, row_energy, row_least, first + 2, last + 2)
 
 
 @callee
-def _element_row(d, solid, about, i, out):
-    """Compute the derivatives of the energy with respect to D_r, D_c, D_x for element row i."""
+def _element_row(d, model, i, out):
+    """Compute the derivatives of the energy of row i of elements; see `forces.site_sweep_of`."""
+    solid, about = model
     rows, cols, bulges, strength, start = about
     for j in range(2, d.shape[2] - 2):
-        shear = solid[SHEAR, i, j]
-        if shear <= 0:
-            for k in range(6):
-                out[k, j] = 0.0
+        if solid[SHEAR, i, j] <= 0:
+            out[:, j] = 0.0
             continue
-        a0, a1, b0, b1, x0, x1 = deformed(d, i, j, rows, cols)
-        e0, e1, f0, f1, gain = elastic(a0, a1, b0, b1, solid, i, j)
-        mean, down, right = volumes(a0, a1, b0, b1, x0, x1, rows, cols)
-        mean, down, right = gain * mean, gain * down, gain * right
-        of_mean = bulk(mean, shear, solid[FIRST, i, j], solid[WHOLE, i, j], bulges)[0]
+        (a0, a1, b0, b1, x0, x1), (e0, e1, f0, f1), gain, jacobians = state(d, solid, about, i, j)
+        shear, twist = solid[SHEAR, i, j], solid[TWIST, i, j]
+        of_mean = bulk(jacobians[0], shear, solid[FIRST, i, j], solid[WHOLE, i, j], bulges)[0]
         of_down, of_right = 0.0, 0.0
-        if mean - abs(down) - abs(right) < start:
-            weight = 0.25 * strength * shear
-            k00 = weight * barrier(mean - down - right, start)[1]
-            k01 = weight * barrier(mean - down + right, start)[1]
-            k10 = weight * barrier(mean + down - right, start)[1]
-            k11 = weight * barrier(mean + down + right, start)[1]
-            of_mean += (k00 + k01) + (k10 + k11)
-            of_down = (k10 + k11) - (k00 + k01)
-            of_right = (k01 + k11) - (k00 + k10)
+        if smallest(jacobians) < start:
+            slopes, weight = walls(jacobians, start)[1], 0.25 * strength * shear
+            of_mean += weight * slopes[0]
+            of_down, of_right = weight * slopes[1], weight * slopes[2]
         of_mean, of_down, of_right = gain * of_mean, gain * of_down * cols, gain * of_right * rows
         rr, rc, cc = shear * solid[RR, i, j], shear * solid[RC, i, j], shear * solid[CC, i, j]
-        twist = solid[TWIST, i, j]
+        of_c0 = cols * (rc * e0 + cc * f0 - of_mean * a1 - of_right * x1)
+        of_c1 = cols * (rc * e1 + cc * f1 + of_mean * a0 + of_right * x0)
+        of_x0 = twist * x0 - of_down * a1 + of_right * b1
+        of_x1 = twist * x1 + of_down * a0 - of_right * b0
         out[0, j] = rows * (rr * e0 + rc * f0 + of_mean * b1 + of_down * x1)
         out[1, j] = rows * (rr * e1 + rc * f1 - of_mean * b0 - of_down * x0)
-        out[2, j] = cols * (rc * e0 + cc * f0 - of_mean * a1 - of_right * x1)
-        out[3, j] = cols * (rc * e1 + cc * f1 + of_mean * a0 + of_right * x0)
-        out[4, j] = twist * x0 - of_down * a1 + of_right * b1
-        out[5, j] = twist * x1 + of_down * a0 - of_right * b0
+        out[2, j], out[3, j] = of_x0 - of_c0, of_x1 - of_c1
+        out[4, j], out[5, j] = of_x0 + of_c0, of_x1 + of_c1
 
 
-@callee
-def _forces_part(d, solid, about, out, first, last):
-    width = d.shape[2]
-    above, here = np.zeros((6, width)), np.zeros((6, width))
-    _element_row(d, solid, about, first + 1, above)
-    for i in range(first + 2, last + 2):
-        _element_row(d, solid, about, i, here)
-        for component in range(2):
-            up_r, up_c, up_x = above[component], above[2 + component], above[4 + component]
-            r, c, x = here[component], here[2 + component], here[4 + component]
-            for j in range(2, width - 2):
-                here_after = (x[j] - r[j] - c[j]) + (c[j - 1] - r[j - 1] - x[j - 1])
-                before = (up_r[j] - up_c[j] - up_x[j]) + (up_r[j - 1] + up_c[j - 1] + up_x[j - 1])
-                out[component, i, j] = here_after + before
-        above, here = here, above
+@shared
+def _write_forces(forces, d, out, i):
+    out[:, i, 2:-2] = forces
+
+
+_force_sweep = site_sweep_of(_element_row, _write_forces)
 
 
 @disjoint_parallel
 def forces(thread, d, solid, about, out, count):
     """Compute the gradient of the energy with respect to the displacement of each site."""
-    height = d.shape[1] - 4
     for number in portion(thread, count):
-        first, last = bounds_of_part(number, count, height)
-        _forces_part(d, solid, about, out, first, last)
+        first, last = bounds_of_part(number, count, d.shape[1] - 4)
+        _force_sweep(d, (solid, about), out, first + 2, last + 2)
 
 
 @inline

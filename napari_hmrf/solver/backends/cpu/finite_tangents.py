@@ -28,11 +28,10 @@ from napari_hmrf.solver.backends.cpu.finite_strain import (
     SHEAR,
     TWIST,
     WHOLE,
-    barrier,
     bulk,
-    deformed,
-    elastic,
-    volumes,
+    smallest,
+    state,
+    walls,
 )
 
 #: Smallest eigenvalue of a tangent after it is made positive, relative to mu.
@@ -172,101 +171,98 @@ def _spread(t):
 
 
 @callee
-def _tangent_part(d, solid, about, positive, calm, out, cycled, first, last):
-    rows, cols, bulges, strength, start = about
-    way, image, sums = np.zeros((3, 6)), np.zeros((3, 6)), np.zeros((3, 3))
-    full, tangent = np.zeros((6, 6)), np.zeros(13)
+def _add_walls(sides, about, factors, bends, positive, work, out, cycled, i, j):
+    """Add the second derivatives of the barrier to the tangents of element (i, j).
+
+    `factors` contains the factor that removes growth from a Jacobian, and the derivatives of the
+    energy with respect to the increments of the Jacobian. `bends` contains the second derivatives.
+    """
+    rows, cols = about[0], about[1]
     rr, cc, rc = rows * rows, cols * cols, rows * cols
-    for i in range(first + 2, last + 2):
+    a0, a1, b0, b1, x0, x1 = sides
+    gain, of_down, of_right = factors
+    bend, bend_01, bend_02, bend_12 = bends
+    way, image, full, sums = work
+    sums[0, 0] = sums[1, 1] = sums[2, 2] = bend
+    sums[0, 1] = sums[1, 0] = bend_01
+    sums[0, 2] = sums[2, 0] = bend_02
+    sums[1, 2] = sums[2, 1] = bend_12
+    # Derivatives of the mean Jacobian and of its increments with respect to D_r, D_c and D_x.
+    way[:] = 0.0
+    way[0, 0], way[0, 1], way[0, 2], way[0, 3] = b1, -b0, -a1, a0
+    way[1, 0], way[1, 1] = cols * x1, -cols * x0
+    way[1, 4], way[1, 5] = -cols * a1, cols * a0
+    way[2, 2], way[2, 3] = -rows * x1, rows * x0
+    way[2, 4], way[2, 5] = rows * b1, -rows * b0
+    for k in range(3):
+        for n in range(6):
+            way[k, n] *= gain
+    for k in range(3):
+        for n in range(6):
+            image[k, n] = (sums[k, 0] * way[0, n] + sums[k, 1] * way[1, n]) + sums[k, 2] * way[2, n]
+    for k in range(6):
+        for n in range(6):
+            full[k, n] = way[0, k] * image[0, n] + way[1, k] * image[1, n]
+            full[k, n] += way[2, k] * image[2, n]
+    # The blocks RR, CC and XX are symmetric, so three numbers per block suffice.
+    for kept in (out, cycled):
+        kept[0, i, j] += rr * full[0, 0]
+        kept[1, i, j] += rr * full[0, 1]
+        kept[2, i, j] += rr * full[1, 1]
+        kept[3, i, j] += cc * full[2, 2]
+        kept[4, i, j] += cc * full[2, 3]
+        kept[5, i, j] += cc * full[3, 3]
+        kept[6, i, j] += rc * full[0, 2]
+        kept[7, i, j] += rc * full[0, 3]
+        kept[8, i, j] += rc * full[1, 2]
+        kept[9, i, j] += rc * full[1, 3]
+        kept[10, i, j] += full[4, 4]
+        kept[11, i, j] += full[4, 5]
+        kept[12, i, j] += full[5, 5]
+    of_down, of_right = (1.0 - positive) * of_down, (1.0 - positive) * of_right
+    out[13, i, j], out[14, i, j] = rows * full[0, 4], rows * (full[0, 5] + of_down)
+    out[15, i, j], out[16, i, j] = rows * (full[1, 4] - of_down), rows * full[1, 5]
+    out[17, i, j], out[18, i, j] = cols * full[2, 4], cols * (full[2, 5] - of_right)
+    out[19, i, j], out[20, i, j] = cols * (full[3, 4] + of_right), cols * full[3, 5]
+
+
+@callee
+def _tangent_part(d, solid, about, positive, calm, out, cycled, first, last):
+    work = np.zeros((3, 6)), np.zeros((3, 6)), np.zeros((6, 6)), np.zeros((3, 3))
+    tangent = np.zeros(13)
+    for i in range(first, last):
         for j in range(2, d.shape[2] - 2):
-            shear = solid[SHEAR, i, j]
-            if shear <= 0:
+            if solid[SHEAR, i, j] <= 0:
                 continue
-            a0, a1, b0, b1, x0, x1 = deformed(d, i, j, rows, cols)
-            e0, e1, f0, f1, gain = elastic(a0, a1, b0, b1, solid, i, j)
-            mean, down, right = volumes(a0, a1, b0, b1, x0, x1, rows, cols)
-            mean, down, right = gain * mean, gain * down, gain * right
-            of_mean, bend = bulk(mean, shear, solid[FIRST, i, j], solid[WHOLE, i, j], bulges)
-            of_down, of_right = 0.0, 0.0
-            low = mean - abs(down) - abs(right)
-            walled = low < start
-            if walled:
-                weight = 0.25 * strength * shear
-                sums[:] = 0.0
-                for corner in range(4):
-                    s, t = (1.0 if corner >= 2 else -1.0), (1.0 if corner % 2 else -1.0)
-                    _, one, two = barrier(mean + s * down + t * right, start)
-                    of_mean += weight * one
-                    of_down += weight * s * one
-                    of_right += weight * t * one
-                    two *= weight
-                    sums[0, 0] += two
-                    sums[0, 1] += s * two
-                    sums[0, 2] += t * two
-                    sums[1, 2] += s * t * two
-                sums[1, 0], sums[2, 0], sums[2, 1] = sums[0, 1], sums[0, 2], sums[1, 2]
-                sums[1, 1] = sums[2, 2] = sums[0, 0]
-                way[0, 0], way[0, 1], way[0, 2], way[0, 3] = b1, -b0, -a1, a0
-                way[1, 0], way[1, 1] = cols * x1, -cols * x0
-                way[1, 4], way[1, 5] = -cols * a1, cols * a0
-                way[2, 2], way[2, 3] = -rows * x1, rows * x0
-                way[2, 4], way[2, 5] = rows * b1, -rows * b0
-                for k in range(3):
-                    for n in range(6):
-                        way[k, n] *= gain
-                for k in range(3):
-                    for n in range(6):
-                        image[k, n] = (sums[k, 0] * way[0, n] + sums[k, 1] * way[1, n]) + sums[
-                            k, 2
-                        ] * way[2, n]
-                for k in range(6):
-                    for n in range(6):
-                        full[k, n] = (way[0, k] * image[0, n] + way[1, k] * image[1, n]) + way[
-                            2, k
-                        ] * image[2, n]
+            rows, cols, bulges, strength, start = about
+            rr, cc, rc = rows * rows, cols * cols, rows * cols
+            sides, (e0, e1, f0, f1), gain, jacobians = state(d, solid, about, i, j)
+            shear, resists = solid[SHEAR, i, j], solid[TWIST, i, j]
+            of_mean, bend = bulk(
+                jacobians[0], shear, solid[FIRST, i, j], solid[WHOLE, i, j], bulges
+            )
+            low, weight = smallest(jacobians), 0.25 * strength * shear
+            if low < start:
+                of_mean += weight * walls(jacobians, start)[1][0]
             safe = _positive(e0, e1, f0, f1, shear, of_mean, bend)
             true = _exact(e0, e1, f0, f1, shear, of_mean, bend)
             grown_r, mixed, grown_c = solid[RR, i, j], solid[RC, i, j], solid[CC, i, j]
             safe = _grown(safe, grown_r, mixed, grown_c)
             true = _blend(_grown(true, grown_r, mixed, grown_c), safe, positive)
-            of_down, of_right = gain * of_down * cols, gain * of_right * rows
-            resists = solid[TWIST, i, j]
-            out[10, i, j] = out[12, i, j] = cycled[10, i, j] = cycled[12, i, j] = resists
-            out[11, i, j] = cycled[11, i, j] = 0.0
+            for values, kept in ((true, out), (safe, cycled)):
+                kept[0, i, j], kept[1, i, j] = rr * values[0], rr * values[1]
+                kept[2, i, j], kept[3, i, j] = rr * values[2], cc * values[3]
+                kept[4, i, j], kept[5, i, j] = cc * values[4], cc * values[5]
+                kept[6, i, j], kept[7, i, j] = rc * values[6], rc * values[7]
+                kept[8, i, j], kept[9, i, j] = rc * values[8], rc * values[9]
+                kept[10, i, j], kept[11, i, j], kept[12, i, j] = resists, 0.0, resists
             for k in range(8):
                 out[13 + k, i, j] = 0.0
-            if walled:
-                # The blocks RR, CC and XX are symmetric, so three numbers per block suffice.
-                for values, kept in ((true, out), (safe, cycled)):
-                    kept[0, i, j] = rr * (values[0] + full[0, 0])
-                    kept[1, i, j] = rr * (values[1] + full[0, 1])
-                    kept[2, i, j] = rr * (values[2] + full[1, 1])
-                    kept[3, i, j] = cc * (values[3] + full[2, 2])
-                    kept[4, i, j] = cc * (values[4] + full[2, 3])
-                    kept[5, i, j] = cc * (values[5] + full[3, 3])
-                    kept[6, i, j] = rc * (values[6] + full[0, 2])
-                    kept[7, i, j] = rc * (values[7] + full[0, 3])
-                    kept[8, i, j] = rc * (values[8] + full[1, 2])
-                    kept[9, i, j] = rc * (values[9] + full[1, 3])
-                    kept[10, i, j] = resists + full[4, 4]
-                    kept[11, i, j] = full[4, 5]
-                    kept[12, i, j] = resists + full[5, 5]
-                of_down, of_right = (1.0 - positive) * of_down, (1.0 - positive) * of_right
-                full[0, 5] += of_down
-                full[1, 4] -= of_down
-                full[3, 4] += of_right
-                full[2, 5] -= of_right
-                out[13, i, j], out[14, i, j] = rows * full[0, 4], rows * full[0, 5]
-                out[15, i, j], out[16, i, j] = rows * full[1, 4], rows * full[1, 5]
-                out[17, i, j], out[18, i, j] = cols * full[2, 4], cols * full[2, 5]
-                out[19, i, j], out[20, i, j] = cols * full[3, 4], cols * full[3, 5]
-            else:
-                for values, kept in ((true, out), (safe, cycled)):
-                    kept[0, i, j], kept[1, i, j] = rr * values[0], rr * values[1]
-                    kept[2, i, j], kept[3, i, j] = rr * values[2], cc * values[3]
-                    kept[4, i, j], kept[5, i, j] = cc * values[4], cc * values[5]
-                    kept[6, i, j], kept[7, i, j] = rc * values[6], rc * values[7]
-                    kept[8, i, j], kept[9, i, j] = rc * values[8], rc * values[9]
+            if low < start:
+                _, (_, down, right), (one, two, three, four) = walls(jacobians, start)
+                factors = gain, gain * weight * down * cols, gain * weight * right * rows
+                bends = weight * one, weight * two, weight * three, weight * four
+                _add_walls(sides, about, factors, bends, positive, work, out, cycled, i, j)
             cycled[13, i, j] = 1.0
             if low < _CALM or e0 * e0 + e1 * e1 + f0 * f0 + f1 * f1 > _STRETCHED:
                 for k in range(13):
@@ -285,7 +281,7 @@ def tangents(thread, d, solid, about, positive, calm, out, cycled, count):
     height = d.shape[1] - 4
     for number in portion(thread, count):
         first, last = bounds_of_part(number, count, height)
-        _tangent_part(d, solid, about, positive, calm, out, cycled, first, last)
+        _tangent_part(d, solid, about, positive, calm, out, cycled, first + 2, last + 2)
 
 
 @alone

@@ -9,9 +9,19 @@ documents the equations and the names.
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
 from numba import get_num_threads
 
-from napari_hmrf.solver.backends.cpu.compiled import bounds_of_part, callee, inline, portion, shared
+from napari_hmrf.solver.backends.cpu.compiled import (
+    bounds_of_part,
+    callee,
+    disjoint,
+    inline,
+    portion,
+    shared,
+)
 
 # Smallest number of rows per thread; with fewer rows, too many rows would be computed twice.
 _FEW_ROWS = 16
@@ -134,6 +144,48 @@ def row_force(rows, lame, shape, carry, left, j):
     carry_row[j] = (r2 + r0) - (more2 - more0)
     carry_col[j] = (r3 + r1) - (more3 - more1)
     return row, col, right
+
+
+@disjoint
+def _gather(above, here, component, force):
+    """Compute the forces of the elements around each site of a row, from two rows of derivatives.
+
+    A row contains the six results of `left_of` for each element, shape (6, W + 4).
+    """
+    up_r, up_more = above[component, 1:], above[4 + component, 1:]
+    r, less = here[component, 1:], here[2 + component, 1:]
+    for x in range(len(force)):
+        below = (less[x + 1] - less[x]) - (r[x + 1] + r[x])
+        force[x] = below + ((up_r[x + 1] + up_r[x]) + (up_more[x] - up_more[x + 1]))
+
+
+def site_sweep_of(derivatives: Any, finish: Any) -> Any:
+    """Return a loop over the rows of sites from `first` to `last` (exclusive).
+
+    Parameters
+    ----------
+    derivatives : callable
+        Compiled function ``derivatives(d, model, i, out)`` that computes the derivatives of the
+        energy of row i of elements; see `_gather`.
+    finish : callable
+        Compiled function ``finish(forces, d, about, i)`` that uses the forces of row i of sites,
+        shape (2, W). The loop passes on `about`.
+    """
+
+    @callee
+    def sweep(d, model, about, first, last):
+        width = d.shape[2]
+        above, here = np.zeros((6, width), d.dtype), np.zeros((6, width), d.dtype)
+        forces = np.zeros((2, width - 4), d.dtype)
+        derivatives(d, model, first - 1, above)
+        for i in range(first, last):
+            derivatives(d, model, i, here)
+            for k in range(2):
+                _gather(above, here, k, forces[k])
+            finish(forces, d, about, i)
+            above, here = here, above
+
+    return sweep
 
 
 @inline

@@ -16,11 +16,16 @@ from napari_hmrf.solver.backends.cpu import small, small_cycle
 from napari_hmrf.solver.backends.cpu.compiled import (
     bounds_of_part,
     callee,
+    disjoint,
+    disjoint_callee,
     disjoint_parallel,
     portion,
+    shared,
     strict,
 )
 from napari_hmrf.solver.backends.cpu.data_weights import filtered
+from napari_hmrf.solver.backends.cpu.endings import residual_line, smooth_line
+from napari_hmrf.solver.backends.cpu.forces import site_sweep_of
 from napari_hmrf.solver.backends.cpu.vectors import row_product
 
 #: Number of model planes per level: 13 numbers of each tangent, and its damping.
@@ -29,7 +34,7 @@ PLANES = np.int64(14)
 DATA_PLANES = np.int64(16)
 
 
-@callee
+@disjoint_callee
 def _element_row(d, tangent, i, out):
     """Compute E_r, E_x - E_c and E_x + E_c for row i of elements; see `forces.left_of`."""
     for j in range(d.shape[2] - 1):
@@ -54,7 +59,7 @@ def _element_row(d, tangent, i, out):
         out[5, j] = of_x1 + of_c1
 
 
-@callee
+@disjoint_callee
 def _add_coupled(d, tangent, i, out):
     """Add the terms that couple D_x with D_r and D_c to the result of `_element_row`."""
     for j in range(d.shape[2] - 1):
@@ -86,62 +91,65 @@ def _add_coupled(d, tangent, i, out):
         out[5, j] += of_x1 + of_c1
 
 
-@callee
-def _pull(above, here, component, j):
-    """Return the force of the four elements around site j, from two rows of derivatives."""
-    r, u = here[component], here[2 + component]
-    up, w = above[component], above[4 + component]
-    return ((u[j] - u[j - 1]) - (r[j] + r[j - 1])) + ((up[j] + up[j - 1]) + (w[j - 1] - w[j]))
+@shared
+def _full_row(d, tangent, i, out):
+    """Compute the derivatives of row i of elements for the full system."""
+    _element_row(d, tangent, i, out)
+    _add_coupled(d, tangent, i, out)
 
 
-@callee
-def _apply_part(d, tangent, inverse, coupled, weight, springs, out, row_totals, first, last):
-    width = d.shape[2]
-    above = np.zeros((6, width), dtype=np.float32)
-    here = np.zeros((6, width), dtype=np.float32)
-    _element_row(d, tangent, first + 1, above)
-    if coupled:
-        _add_coupled(d, tangent, first + 1, above)
-    for i in range(first + 2, last + 2):
-        _element_row(d, tangent, i, here)
-        if coupled:
-            _add_coupled(d, tangent, i, here)
-        for component in range(2):
-            for j in range(2, width - 2):
-                pull = _pull(above, here, component, j)
-                pull += springs * weight[component, i, j] * d[component, i, j]
-                moves = inverse[component, i, j] > float32(0)
-                out[component, i, j] = pull if moves else float32(0)
-        row_totals[i - 2] = row_product(d, out, i)
-        above, here = here, above
+@shared
+def _apply_finish(forces, d, about, i):
+    inverse, weight, springs, out, row_totals = about
+    past = d.shape[2] - 2
+    for k in range(2):
+        residual_line(
+            forces[k],
+            d[k, i, 2:past],
+            d[k, i, 2:past],
+            float32(0),
+            inverse[k, i, 2:past],
+            weight[k, i, 2:past],
+            springs,
+            float32(-1),
+            out[k, i, 2:past],
+        )
+    row_totals[i - 2] = row_product(d, out, i)
+
+
+_apply_sweep = site_sweep_of(_full_row, _apply_finish)
 
 
 @disjoint_parallel
-def apply(thread, d, tangent, inverse, coupled, weight, springs, out, row_totals, count):
-    """Write (A + W) d to `out`, or 0 at fixed components; store d . out per row in `row_totals`."""
-    height = d.shape[1] - 4
+def apply(thread, d, tangent, inverse, weight, springs, out, row_totals, count):
+    """Write (A + W) d to `out`, or 0 at fixed components; store d . out per row in `row_totals`.
+
+    A is the matrix of the full system.
+    """
+    about = inverse, weight, springs, out, row_totals
     for number in portion(thread, count):
-        first, last = bounds_of_part(number, count, height)
-        _apply_part(d, tangent, inverse, coupled, weight, springs, out, row_totals, first, last)
+        first, last = bounds_of_part(number, count, d.shape[1] - 4)
+        _apply_sweep(d, tangent, about, first + 2, last + 2)
 
 
-@callee
-def _smooth_part(d, load, tangent, inverse, weight, springs, out, pace, first, last):
-    scale, ahead, back = pace
-    width = d.shape[2]
-    above = np.zeros((6, width), dtype=np.float32)
-    here = np.zeros((6, width), dtype=np.float32)
-    _element_row(d, tangent, first + 1, above)
-    for i in range(first + 2, last + 2):
-        _element_row(d, tangent, i, here)
-        for component in range(2):
-            for j in range(2, width - 2):
-                now = d[component, i, j]
-                rest = load[component, i, j] - springs * weight[component, i, j] * now
-                rest -= _pull(above, here, component, j)
-                step = scale * inverse[component, i, j] * rest + ahead * now
-                out[component, i, j] = now + (step - back * out[component, i, j])
-        above, here = here, above
+@shared
+def _smooth_finish(forces, d, about, i):
+    load, inverse, weight, springs, out, pace = about
+    past = d.shape[2] - 2
+    for k in range(2):
+        smooth_line(
+            forces[k],
+            d[k, i, 2:past],
+            load[k, i, 2:past],
+            inverse[k, i, 2:past],
+            weight[k, i, 2:past],
+            springs,
+            out[k, i, 2:past],
+            pace,
+        )
+
+
+_smooth_sweep = site_sweep_of(_element_row, _smooth_finish)
 
 
 @disjoint_parallel
@@ -151,38 +159,40 @@ def smooth(thread, d, load, tangent, inverse, weight, springs, out, scale, ahead
     The step is ``out = d + scale * D^-1 (load - (A + W) d) + ahead * d - back * out``. On entry,
     `out` contains the displacement before the previous step.
     """
-    height = d.shape[1] - 4
+    about = load, inverse, weight, springs, out, (scale, ahead, back)
     for number in portion(thread, count):
-        first, last = bounds_of_part(number, count, height)
-        pace = scale, ahead, back
-        _smooth_part(d, load, tangent, inverse, weight, springs, out, pace, first, last)
+        first, last = bounds_of_part(number, count, d.shape[1] - 4)
+        _smooth_sweep(d, tangent, about, first + 2, last + 2)
 
 
-@callee
-def _rest_part(d, load, tangent, inverse, weight, springs, out, first, last):
-    width = d.shape[2]
-    above = np.zeros((6, width), dtype=np.float32)
-    here = np.zeros((6, width), dtype=np.float32)
-    _element_row(d, tangent, first + 1, above)
-    for i in range(first + 2, last + 2):
-        _element_row(d, tangent, i, here)
-        for component in range(2):
-            for j in range(2, width - 2):
-                rest = load[component, i, j]
-                rest -= springs * weight[component, i, j] * d[component, i, j]
-                rest -= _pull(above, here, component, j)
-                moves = inverse[component, i, j] > float32(0)
-                out[component, i, j] = rest if moves else rest - rest
-        above, here = here, above
+@shared
+def _rest_finish(forces, d, about, i):
+    load, inverse, weight, springs, out = about
+    past = d.shape[2] - 2
+    for k in range(2):
+        residual_line(
+            forces[k],
+            d[k, i, 2:past],
+            load[k, i, 2:past],
+            float32(1),
+            inverse[k, i, 2:past],
+            weight[k, i, 2:past],
+            springs,
+            float32(1),
+            out[k, i, 2:past],
+        )
+
+
+_rest_sweep = site_sweep_of(_element_row, _rest_finish)
 
 
 @disjoint_parallel
 def rest(thread, d, load, tangent, inverse, weight, springs, out, count):
     """Write load - (A + W) d to `out`, or 0 at fixed components."""
-    height = d.shape[1] - 4
+    about = load, inverse, weight, springs, out
     for number in portion(thread, count):
-        first, last = bounds_of_part(number, count, height)
-        _rest_part(d, load, tangent, inverse, weight, springs, out, first, last)
+        first, last = bounds_of_part(number, count, d.shape[1] - 4)
+        _rest_sweep(d, tangent, about, first + 2, last + 2)
 
 
 @disjoint_parallel
@@ -234,17 +244,18 @@ def diagonal(thread, tangent, out):
                 out[component, i, j] = total
 
 
-@callee
-def _smooth(d, load, tangent, inverse, weight, springs, out, scale, ahead, back):
-    """Compute a Chebyshev step on one thread; see `smooth`."""
-    pace, last = (scale, ahead, back), d.shape[1] - 4
-    _smooth_part(d, load, tangent, inverse, weight, springs, out, pace, 0, last)
+# The same for small levels, on one thread.
 
 
 @callee
-def _rest(d, load, tangent, inverse, weight, springs, out):
-    """Compute the residual on one thread; see `rest`."""
-    _rest_part(d, load, tangent, inverse, weight, springs, out, 0, d.shape[1] - 4)
+def _smooth(d, load, own, inverse, weight, springs, out, scale, ahead, back):
+    about = load, inverse, weight, springs, out, (scale, ahead, back)
+    _smooth_sweep(d, own, about, 2, d.shape[1] - 2)
+
+
+@callee
+def _rest(d, load, own, inverse, weight, springs, out):
+    _rest_sweep(d, own, (load, inverse, weight, springs, out), 2, d.shape[1] - 2)
 
 
 _cycle = small_cycle.cycle_of(PLANES, small_cycle.start, _smooth, _rest, small_cycle.add_coarse)
@@ -256,39 +267,61 @@ def cycle(values, table, down, up, coarsest):
     _cycle(values, table, float32(1), down, up, coarsest)
 
 
+# With a data term, the last two planes of a level are those of `data_weights.couple`: the mixed
+# component of W, and that of the block of the smoother.
+
+
+@shared
+def _rest_with_data(forces, d, load, weight, mixed, i, j):
+    """Return both components of load - (A + W) d at a site; the springs are part of `weight`."""
+    row = load[0, i, j] - weight[0, i, j] * d[0, i, j] - mixed[i, j] * d[1, i, j]
+    col = load[1, i, j] - weight[1, i, j] * d[1, i, j] - mixed[i, j] * d[0, i, j]
+    return row - forces[0, j - 2], col - forces[1, j - 2]
+
+
+@disjoint
+def _smooth_data_finish(forces, d, about, i):
+    load, own, inverse, weight, out, pace = about
+    scale, ahead, back = pace
+    for j in range(2, d.shape[2] - 2):
+        row, col = _rest_with_data(forces, d, load, weight, own[14], i, j)
+        mixed = own[15, i, j]
+        first = scale * (inverse[0, i, j] * row + mixed * col) + ahead * d[0, i, j]
+        second = scale * (mixed * row + inverse[1, i, j] * col) + ahead * d[1, i, j]
+        out[0, i, j] = d[0, i, j] + (first - back * out[0, i, j])
+        out[1, i, j] = d[1, i, j] + (second - back * out[1, i, j])
+
+
+_smooth_data_sweep = site_sweep_of(_element_row, _smooth_data_finish)
+
+
 @callee
 def _smooth_data(d, load, own, inverse, weight, springs, out, scale, ahead, back):
-    """Compute a Chebyshev step with a data term on one thread."""
-    width = d.shape[2]
-    rest = np.zeros_like(d)
-    _rest_part(d, load, own, inverse, weight, springs, rest, 0, d.shape[1] - 4)
-    for i in range(2, d.shape[1] - 2):
-        for j in range(2, width - 2):
-            row = rest[0, i, j] - own[14, i, j] * d[1, i, j]
-            col = rest[1, i, j] - own[14, i, j] * d[0, i, j]
-            mixed = own[15, i, j]
-            first = scale * (inverse[0, i, j] * row + mixed * col) + ahead * d[0, i, j]
-            second = scale * (mixed * row + inverse[1, i, j] * col) + ahead * d[1, i, j]
-            out[0, i, j] = d[0, i, j] + (first - back * out[0, i, j])
-            out[1, i, j] = d[1, i, j] + (second - back * out[1, i, j])
+    about = load, own, inverse, weight, out, (scale, ahead, back)
+    _smooth_data_sweep(d, own, about, 2, d.shape[1] - 2)
+
+
+@disjoint
+def _rest_data_finish(forces, d, about, i):
+    load, own, inverse, weight, out = about
+    pairs = (
+        (inverse[0, i], inverse[1, i]),
+        (weight[0, i], weight[1, i]),
+        (own[14, i], own[15, i]),
+    )
+    for j in range(2, d.shape[2] - 2):
+        row, col = _rest_with_data(forces, d, load, weight, own[14], i, j)
+        row, col = filtered(row, col, *pairs, j)
+        out[0, i, j] = row if inverse[0, i, j] > float32(0) else row - row
+        out[1, i, j] = col if inverse[1, i, j] > float32(0) else col - col
+
+
+_rest_data_sweep = site_sweep_of(_element_row, _rest_data_finish)
 
 
 @callee
 def _rest_data(d, load, own, inverse, weight, springs, out):
-    """Write the filtered residual to `out`, or 0 at fixed components, on one thread."""
-    _rest_part(d, load, own, inverse, weight, springs, out, 0, d.shape[1] - 4)
-    for i in range(2, d.shape[1] - 2):
-        pairs = (
-            (inverse[0, i], inverse[1, i]),
-            (weight[0, i], weight[1, i]),
-            (own[14, i], own[15, i]),
-        )
-        for j in range(2, d.shape[2] - 2):
-            row = out[0, i, j] - own[14, i, j] * d[1, i, j]
-            col = out[1, i, j] - own[14, i, j] * d[0, i, j]
-            row, col = filtered(row, col, *pairs, j)
-            out[0, i, j] = row if inverse[0, i, j] > float32(0) else float32(0)
-            out[1, i, j] = col if inverse[1, i, j] > float32(0) else float32(0)
+    _rest_data_sweep(d, own, (load, own, inverse, weight, out), 2, d.shape[1] - 2)
 
 
 _data_cycle = small_cycle.cycle_of(
