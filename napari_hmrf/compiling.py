@@ -67,6 +67,7 @@ def jobs() -> list[Job]:
         return Job(name, lambda: _solve(prior, optimizer, spacing))
 
     schedule = ICM(iterations=2)
+    image, volume = (_SIZE, _SIZE), (_SLICES, _SLICES, _SLICES)
     return [
         solving("elastic", ElasticPrior(0.3), Multigrid(), square),
         Job(sets.PICTURES, _pictures),
@@ -83,9 +84,11 @@ def jobs() -> list[Job]:
         Job("volume", lambda: _volume(ElasticPrior(0.3), Multigrid())),
         Job("volume-schedule", lambda: _volume(SeilerPrior(), schedule)),
         Job("volume-converged", lambda: _volume(SeilerPrior(), Multigrid())),
-        Job(sets.DATA, lambda: _data((_SIZE, _SIZE))),
-        Job(sets.VOLUME_DATA, lambda: _data((_SLICES, _SLICES, _SLICES))),
+        Job(sets.DATA, lambda: _data(image, ElasticPrior(0.3))),
+        Job(sets.VOLUME_DATA, lambda: _data(volume, ElasticPrior(0.3))),
         Job(sets.LARGE_VOLUMES, lambda: _volume(NeoHookeanPrior(0.3), Multigrid())),
+        Job(sets.LARGE_DATA, lambda: _data(image, NeoHookeanPrior(0.3))),
+        Job(sets.LARGE_VOLUME_DATA, lambda: _data(volume, NeoHookeanPrior(0.3))),
     ]
 
 
@@ -99,12 +102,12 @@ def _solve(prior: Any, optimizer: Any, spacing: tuple[float, float], bone: bool 
     solve(problem, prior, optimizer=optimizer, backend="cpu")
 
 
-def _data(grid: tuple[int, ...]) -> None:
+def _data(grid: tuple[int, ...], prior: Any) -> None:
     y = np.ones((*grid, len(grid)))
     problem = Problem(
         observed=y, confidence=np.zeros_like(y), stiffness=np.ones(grid), precision=1.0
     )
-    solve(problem, ElasticPrior(0.3), backend="cpu")
+    solve(problem, prior, backend="cpu")
 
 
 def _volume(prior: Any, optimizer: Any) -> None:

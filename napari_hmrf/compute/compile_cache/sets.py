@@ -14,6 +14,10 @@ LARGE_VOLUMES = "volume-large-motion"
 DATA = "data"
 #: Same in a volume.
 VOLUME_DATA = "volume-data"
+#: Loops for a quadratic data term, such as uncertain landmarks, in large motion of an image.
+LARGE_DATA = "large-motion-data"
+#: Same in a volume.
+LARGE_VOLUME_DATA = "volume-large-motion-data"
 #: Loops for tissue on which cycles converge slowly. No job compiles this set, so a solve compiles
 #: the loops when it requires them.
 HARDER = "harder"
@@ -25,6 +29,8 @@ ON_REQUEST = (
     "volume-converged",
     DATA,
     VOLUME_DATA,
+    LARGE_DATA,
+    LARGE_VOLUME_DATA,
 )
 #: Approximate number of loops in each set, used to report compilation progress.
 COUNTS = {
@@ -46,6 +52,8 @@ COUNTS = {
     "volume-converged": 15,
     DATA: 25,
     VOLUME_DATA: 25,
+    LARGE_DATA: 34,
+    LARGE_VOLUME_DATA: 34,
     HARDER: 8,
 }
 #: Approximate number of distinct loops in `EVERYTHING`, and in all sets.

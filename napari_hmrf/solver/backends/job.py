@@ -6,7 +6,13 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Protocol
 
-from napari_hmrf.compute.compile_cache.sets import DATA, LARGE_VOLUMES, VOLUME_DATA
+from napari_hmrf.compute.compile_cache.sets import (
+    DATA,
+    LARGE_DATA,
+    LARGE_VOLUME_DATA,
+    LARGE_VOLUMES,
+    VOLUME_DATA,
+)
 from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
 
 if TYPE_CHECKING:
@@ -86,6 +92,8 @@ class SolveJob:
     @property
     def loops(self) -> str:
         """Name of the set of compiled loops that contains most of the required loops."""
+        if self.has_large_motion and self.has_data:
+            return LARGE_VOLUME_DATA if self.is_volume else LARGE_DATA
         if self.has_large_motion:
             return LARGE_VOLUMES if self.is_volume else "large-motion"
         if self.has_data or self.has_sliding_parts:

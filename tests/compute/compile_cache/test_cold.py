@@ -25,6 +25,7 @@ from napari_hmrf import (
     Cancelled,
     ElasticPrior,
     Multigrid,
+    NeoHookeanPrior,
     Problem,
     SeilerPrior,
     compiling,
@@ -157,6 +158,15 @@ class BackgroundSolve:
         while not (report := self.reports.get(timeout=LONG)).message.startswith(beginning):
             pass
         return report
+
+
+@pytest.mark.parametrize("shape", [(40, 40), (12, 12, 12)])
+@pytest.mark.parametrize("has_data", [False, True])
+def test_a_job_compiles_the_loops_of_large_motion_with_and_without_data(shape, has_data):
+    spacing, prior = (1.0,) * len(shape), NeoHookeanPrior()
+    job = SolveJob(shape, spacing, prior, Multigrid(), has_data=has_data)
+    assert job.loops in [each.name for each in compiling.jobs()]
+    assert job.loops.endswith("-data") == has_data
 
 
 @pytest.mark.parametrize("model", MODELS)
