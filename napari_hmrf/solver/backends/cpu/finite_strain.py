@@ -206,7 +206,8 @@ def _element_row(d, model, i, out):
     rows, cols, bulges, strength, start = about
     for j in range(2, d.shape[2] - 2):
         if solid[SHEAR, i, j] <= 0:
-            out[:, j] = 0.0
+            for k in range(6):
+                out[k, j] = 0.0
             continue
         (a0, a1, b0, b1, x0, x1), (e0, e1, f0, f1), gain, jacobians = state(d, solid, about, i, j)
         shear, twist = solid[SHEAR, i, j], solid[TWIST, i, j]
@@ -230,7 +231,10 @@ def _element_row(d, model, i, out):
 
 @shared
 def _write_forces(forces, d, out, i):
-    out[:, i, 2:-2] = forces
+    # Numba would compile an assignment of arrays for seconds.
+    for k in range(2):
+        for x in range(d.shape[2] - 4):
+            out[k, i, x + 2] = forces[k, x]
 
 
 _force_sweep = site_sweep_of(_element_row, _write_forces)
