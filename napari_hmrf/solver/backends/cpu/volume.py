@@ -32,6 +32,7 @@ from napari_hmrf.solver.backends.cpu.compiled import (
     scratch_parallel,
     shared,
 )
+from napari_hmrf.solver.backends.cpu.endings import residual_line, smooth_line
 from napari_hmrf.solver.backends.cpu.hexahedra import BLOCK, block_forces, force_of, scratch
 
 # Smallest number of planes per thread; with fewer planes, too many planes would be computed twice.
@@ -103,15 +104,6 @@ def _forces_of(lines):
     return force_of(lines, 0), force_of(lines, 1), force_of(lines, 2)
 
 
-@disjoint
-def _smooth_line(force, d, load, inverse, weight, springs, out, pace):
-    scale, ahead, back = pace
-    for x in range(len(d)):
-        rest = load[x] - (force[x] + springs * weight[x] * d[x])
-        step = scale * inverse[x] * rest + ahead * d[x]
-        out[x] = d[x] + (step - back * out[x])
-
-
 @inline
 def _three(values, first, begin, past):
     """Return three lines of planes, from plane `first`; the loops over single lines vectorize."""
@@ -161,7 +153,7 @@ def _smooth_finish(lines, d, data, about, at, of_d, z):
         )
     else:
         for k in range(3):
-            _smooth_line(
+            smooth_line(
                 force_of(lines, k),
                 d[k, i:j],
                 load[k, i:j],
@@ -213,14 +205,6 @@ def start(thread, load, inverse, mixed, d, scale):
                 d[0, i, j] += scale * (mixed[3, i, j] * y + mixed[4, i, j] * z)
                 d[1, i, j] += scale * (mixed[3, i, j] * x + mixed[5, i, j] * z)
                 d[2, i, j] += scale * (mixed[4, i, j] * x + mixed[5, i, j] * y)
-
-
-@disjoint
-def _rest_line(force, d, load, given, inverse, weight, springs, scale, out):
-    for x in range(len(d)):
-        rest = given * load[x] - (force[x] + springs * weight[x] * d[x])
-        rest = out.dtype.type(scale * rest)
-        out[x] = rest if inverse[x] > float32(0) else rest - rest
 
 
 @disjoint
@@ -299,7 +283,7 @@ def _rest_finish(lines, d, data, about, at, of_d, z):
         along = _three(d, 0, before, after)
         _mixed_forces(_forces_of(lines), along, _three(data, 0, i, j))
     for k in range(3):
-        _rest_line(
+        residual_line(
             force_of(lines, k),
             d[k, before:after],
             load[k, before:after],
