@@ -31,32 +31,28 @@ def check_bending(problem: Problem) -> None:
     ProblemError
         If a piece can move; the message gives its size, its centre and its motion.
     """
-    free = free_bend(problem, problem.known)
-    if free is not None:
-        raise refusal(free)
+    held = problem.known
+    for piece, component, motions in free_bends(problem, held):
+        clause = "could still grow" if held[piece, component].any() else "is not held anywhere"
+        raise refusal(FreeMotion(piece, f"{clause} {_DIRECTIONS[component]}", motions[0]))
 
 
-def free_bend(problem: Problem, held: npt.NDArray[np.bool_]) -> FreeMotion | None:
-    """Return a zero-energy motion of some tissue, or None if there is none.
+def free_bends(
+    problem: Problem, held: npt.NDArray[np.bool_]
+) -> Iterator[tuple[npt.NDArray[np.bool_], int, npt.NDArray[np.float64]]]:
+    """Yield each piece with zero-energy motions, the component that moves, and these motions.
 
     Parameters
     ----------
     problem : Problem
     held : ndarray of bool, shape (H, W, 2)
         Mask of the constrained components.
-    """
-    for piece, component, motions in _free_pieces(problem, held):
-        clause = "could still grow" if held[piece, component].any() else "is not held anywhere"
-        return FreeMotion(piece, f"{clause} {_DIRECTIONS[component]}", motions[0])
-    return None
 
-
-def _free_pieces(
-    problem: Problem, held: npt.NDArray[np.bool_]
-) -> Iterator[tuple[npt.NDArray[np.bool_], int, npt.NDArray[np.float64]]]:
-    """Yield each piece that can move, the component in which it moves, and its free motions.
-
-    The free motions are an array of shape (n, H, W, 2).
+    Yields
+    ------
+    piece : ndarray of bool, shape (H, W)
+    component : int
+    motions : ndarray, shape (n, H, W, 2)
     """
     cliques = in_cliques(problem.tissue, problem.spacing)
     i, j = np.indices(problem.shape)

@@ -39,7 +39,6 @@ from napari_hmrf.solver.optimizers.base import (
 from napari_hmrf.solver.optimizers.cycle import AVERAGING, Cycle
 from napari_hmrf.solver.optimizers.krylov import StabilisedGradients, Step
 from napari_hmrf.solver.optimizers.refinement import factorise
-from napari_hmrf.solver.optimizers.slip_states import PATIENCE, States
 from napari_hmrf.solver.priors import SeilerPrior
 from napari_hmrf.solver.problem import Problem
 
@@ -51,6 +50,9 @@ _BARRIER_AIM = 0.4
 _CONTRADICTION = 0.1
 # Number of cycles after which a factorization is faster.
 _CYCLES = 60
+# Number of exchanges without a decrease in the smallest number of contradictions, after which
+# systems are solved exactly.
+_PATIENCE = 6
 # Number of exchanges of states after which the solve fails.
 _MOST_EXCHANGES = 2000
 _TINY = 1e-300
@@ -136,18 +138,18 @@ def converge(
 
 def _start_field(
     problem: Problem, prior: SeilerPrior, model: LinearModel, start: WarmStart | None
-) -> tuple[Planes, _CentredStates]:
+) -> tuple[Planes, _States]:
     """Return the initial displacement and the states of the observations."""
     d, observed = host.prescribed(problem)
     steep = model.steepness
     # No force acts on a site that is not the middle of any clique, so the site does not move.
-    states = _CentredStates(observed & (steep > 0), d, host.planes(prior.limit(problem)), steep)
+    states = _States(observed & (steep > 0), d, host.planes(prior.limit(problem)), steep)
     if start is not None:
         np.copyto(d, host.combined(start), where=~observed & (steep > 0))
     return d, states
 
 
-class _CentredStates(States):
+class _States:
     """States of the observed components, held or slipping, for the centred update (eq. 19)."""
 
     # A component is held if q is within l = p / 2 A of its observed value y, that is, everywhere
@@ -163,8 +165,43 @@ class _CentredStates(States):
 
     def __init__(self, candidates: HeldPlanes, y: Planes, force: Planes, steep: Planes) -> None:
         limit = np.divide(force, steep, out=np.zeros_like(force), where=candidates)
-        super().__init__(candidates, y, limit, y)
+        self._grid = candidates.shape
+        #: Observed components that never slip.
+        self._fixed: HeldPlanes = candidates & np.isinf(limit)
+        self._fixed_at = np.flatnonzero(self._fixed)
+        self._fixed_y = y.ravel()[self._fixed_at]
+        #: Indices of the components that may slip, in the flattened planes.
+        self.at = np.flatnonzero(candidates & ~self._fixed)
+        self.y, self.limit = y.ravel()[self.at], limit.ravel()[self.at]
         self._force = force.ravel()[self.at]
+        #: Sign of the force on each slipping component; 0 for held components.
+        self._slips: npt.NDArray[Any] = np.zeros_like(self.y)
+        self._fewest, self._patience = len(self.at) + 1, _PATIENCE
+
+    @property
+    def held(self) -> HeldPlanes:
+        """Mask of the held components."""
+        held: HeldPlanes = self._fixed.copy()
+        held.ravel()[self.at[self._slips == 0]] = True
+        return held
+
+    @property
+    def any_slip(self) -> bool:
+        """True if any component slips."""
+        return bool(self._slips.any())
+
+    @property
+    def load(self) -> Planes:
+        """Forces of the observations on the slipping components, in units of the residual."""
+        load = np.zeros(self._grid)
+        load.ravel()[self.at] = self._slips * self.limit
+        return load
+
+    def place(self, d: Planes) -> None:
+        """Move the held components to their observed position, in place."""
+        held = self._slips == 0
+        d.ravel()[self.at[held]] = self.y[held]
+        d.ravel()[self._fixed_at] = self._fixed_y
 
     def cost(self, d: Planes) -> float:
         """Return the energy of the observations, ``sum(p |y - d|)``."""
@@ -192,11 +229,11 @@ class _CentredStates(States):
         wrong = np.where(held, excess, passed) > tolerance
         count = int(wrong.sum())
         if count < self._fewest:
-            self._fewest, self._patience = count, PATIENCE
+            self._fewest, self._patience = count, _PATIENCE
         else:
             self._patience -= 1
         if count and self._patience == 0:
-            self.hold_all()
+            self._slips = np.zeros_like(self._slips)
             return True
         self._slips = np.where(wrong, np.where(held, -np.sign(q), 0.0), self._slips)
         return count > 0

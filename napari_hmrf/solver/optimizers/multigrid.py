@@ -38,7 +38,6 @@ from napari_hmrf.solver.optimizers.loading import (
 )
 from napari_hmrf.solver.optimizers.refinement import Refinement
 from napari_hmrf.solver.optimizers.slip import Slip
-from napari_hmrf.solver.optimizers.slip_states import ActiveSet
 from napari_hmrf.solver.optimizers.work import Work
 from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
@@ -160,19 +159,25 @@ class Multigrid:
                     np.copyto(d, host.combined(start), where=moves)
                 observed_moves, limits = observed & moves, host.planes(limit)
                 check_balanced(problem, observed_moves, limits, pulls)
-                if isinstance(prior, ElasticPrior):
 
-                    def refined(of: LinearModel) -> Refinement:
-                        return Refinement(self.max_iterations, of, smoothing, report, firm, met)
+                def refined(of: LinearModel) -> Refinement:
+                    return Refinement(self.max_iterations, of, smoothing, report, firm, met)
 
-                    slip = Slip(
-                        problem, backend, model, observed_moves, y, limits, pulls, stored, refined
-                    )
-                    slip.run(d, self.tolerance)
-                    refinement = slip.refinement
-                else:
-                    states = ActiveSet(observed_moves, y, limits, d)
-                    BendingSlip(problem, model, states, refinement, report).run(d, self.tolerance)
+                kind = Slip if isinstance(prior, ElasticPrior) else BendingSlip
+                slip = kind(
+                    problem,
+                    backend,
+                    model,
+                    observed_moves,
+                    y,
+                    limits,
+                    pulls,
+                    stored,
+                    refined,
+                    report,
+                )
+                slip.run(d, self.tolerance)
+                refinement = slip.refinement
                 _, forces = model.work(d)
         except ConvergenceError:
             model.clear_cache()

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import itertools
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
-from napari_hmrf.errors import ConvergenceError, ProblemError
+from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.solver.backends import host
-from napari_hmrf.solver.backends.direct.dissection import HELD, Singular
+from napari_hmrf.solver.backends.direct.dissection import Singular
 from napari_hmrf.solver.backends.direct.factors import Factors
 from napari_hmrf.solver.backends.linear import HeldPlanes, LinearModel, Planes
 from napari_hmrf.solver.optimizers.base import Report
-from napari_hmrf.solver.optimizers.refinement import BARELY_HELD, Refinement, factorise
+from napari_hmrf.solver.optimizers.refinement import Refinement, factorise
 from napari_hmrf.solver.rigid_modes import FreeMotion, refusal
 
 Float64Array = npt.NDArray[np.float64]
@@ -34,17 +33,6 @@ _FIRST_MOTIONS = 8
 _MOST_MOTIONS = 64
 # Largest error of a soft motion with a prescribed displacement of 1 pixel, in pixels.
 _EXACT = 1e-12
-# Singular values of the matrix of soft motions below this fraction of the largest one are rounding
-# errors.
-_FLOOR = 1e-14
-# Largest number of corrections of the soft motions in a field.
-_BALANCINGS = 4
-# Largest accepted final correction of the soft motions, relative to the largest displacement, or to
-# 1 pixel if that is larger.
-_UNBALANCED = 1e-6
-# Largest work done by a load over a free motion that is rounding error, relative to the sum of the
-# absolute values of its terms.
-_BALANCED = 1e-9
 # Number of passes to separate the soft motions.
 _SEPARATIONS = 2
 # Smallest eigenvalue of the scaled model (unit diagonal) that a factorization resolves.
@@ -54,74 +42,8 @@ _ESTIMATES = 3
 # Factor on `_RESOLVED` times the square root of the number of unknowns. No further iteration is
 # needed once the estimate exceeds this product.
 _CLEAR = 1e3
-# Largest number of soft motions that are analysed for an error message; separating more motions
-# takes seconds.
-_EXPLAINED = 16
 # Fraction of the largest displacement above which a site is part of a motion.
 _PARTICIPATION = 0.1
-
-
-class SoftMotions(NamedTuple):
-    """Soft motions of tissue, with components that prevent these motions if constrained.
-
-    Attributes
-    ----------
-    pins : ndarray of bool, planes
-        Mask of components. If all of them are constrained, the tissue has no soft motion.
-    ways : ndarray, shape (n, *planes)
-        Soft motions with nonzero energy.
-    cost : ndarray, shape (n, n)
-        Hessian of the energy with respect to the coefficients of these motions.
-    free : list of ndarray, each of shape (m, H, W, 2)
-        Free motions, which have zero energy: a single array with all free motions, or an empty
-        list.
-    """
-
-    pins: HeldPlanes
-    ways: Float64Array
-    cost: Float64Array
-    free: list[Float64Array]
-
-    def balance(
-        self, model: LinearModel, refinement: Refinement, d: Planes, load: Planes, tolerance: float
-    ) -> None:
-        """Solve for equilibrium with a load, including the soft motions; change `d` in place.
-
-        The coefficients of the soft motions are computed from energies. Energies are sums of
-        squares, so they are more accurate than forces.
-
-        Raises
-        ------
-        ConvergenceError
-            If double precision is not accurate enough.
-        """
-        refinement.run(d, load, tolerance)
-        size = np.sqrt(np.diagonal(self.cost).clip(1e-300))
-        inverse = np.linalg.pinv(self.cost / np.outer(size, size), _FLOOR, True)
-        far = np.inf
-        for _ in range(_BALANCINGS):
-            rest = [(load * way).sum() - _product(model, d, way) for way in self.ways]
-            step = np.tensordot(inverse @ (np.array(rest) / size) / size, self.ways, 1)
-            far = float(np.abs(step).max(initial=0.0))
-            if far <= tolerance:
-                return
-            d += step
-            refinement.run(d, load, tolerance)
-        if far > _UNBALANCED * max(1.0, float(np.abs(d).max())):
-            raise ConvergenceError(
-                "double precision is not accurate enough for motions of the tissue that are barely "
-                "held. Hold more of the tissue"
-            )
-
-    def unbalanced_motion(self, load: Planes) -> Planes | None:
-        """Return a free motion over which a load does work, or None if there is none."""
-        for ways in self.free:
-            for way in ways:
-                motion = host.planes(way)
-                work = load * motion
-                if abs(work.sum()) > _BALANCED * np.abs(work).sum():
-                    return motion
-        return None
 
 
 def resolves(model: LinearModel) -> bool:
@@ -149,58 +71,16 @@ def resolves(model: LinearModel) -> bool:
 def refuse_free(
     model: LinearModel, held: HeldPlanes, refinement: Refinement, report: Report
 ) -> None:
-    """Raise an error if the tissue has a free motion although its matrix could be factorized.
+    """Raise an error if the tissue has a free motion although all observations hold it.
 
     Raises
     ------
     ProblemError
         If there is a free motion; the message describes the tissue and its motion.
     """
-    free = find_soft_motions(model, held, refinement, report).free
+    free = find_free_motions(model, held, refinement, report)
     if free:
         raise refusal(_as_free_motion(free[0][0]))
-
-
-def explain_singular(
-    model: LinearModel, held: HeldPlanes, refinement: Refinement, report: Report
-) -> ProblemError | ConvergenceError:
-    """Return an error that explains why a system could not be factorized.
-
-    Either a motion is free or its energy is so small that double precision cannot resolve it.
-
-    Parameters
-    ----------
-    model : LinearModel
-    held : ndarray of bool, planes
-        Observed components.
-    refinement : Refinement
-    report : callable
-    """
-    steep = model.steepness
-    moves = (steep > 0) & ~held
-    weights = np.sqrt(steep[moves])
-    try:
-        soft = _soft(model, moves, weights)
-        if 0 < soft.shape[1] <= _EXPLAINED:
-            play = find_soft_motions(model, held, refinement, report)
-            if play.free:
-                return refusal(_as_free_motion(play.free[0][0]))
-    except ConvergenceError as error:
-        return error
-    if not soft.shape[1]:
-        return ConvergenceError(BARELY_HELD)
-    d: Planes = np.zeros(moves.shape)
-    d[moves] = soft[:, 0] / weights
-    cost = 2 * model.work(d)[0] / float((steep * d**2).sum())
-    motion = _as_free_motion(host.field(d))
-    if cost < _FREE:
-        return refusal(motion)
-    return ConvergenceError(
-        f"the tissue around {motion.centre} is barely held: the energy of one of its motions is "
-        f"only {cost:.0e} of the energy of moving its sites one by one, but double precision "
-        f"requires at least {HELD:.0e}. Hold more of it, or reduce the ratio of the stiffest to "
-        "the softest tissue"
-    )
 
 
 def _as_free_motion(motion: Float64Array) -> FreeMotion:
@@ -214,13 +94,13 @@ def _as_free_motion(motion: Float64Array) -> FreeMotion:
     )
 
 
-def find_soft_motions(
+def find_free_motions(
     model: LinearModel, held: HeldPlanes, refinement: Refinement, report: Report
-) -> SoftMotions:
-    """Find the soft motions of tissue with the constrained components `held`.
+) -> list[Float64Array]:
+    """Return all free motions of tissue with the constrained components `held`.
 
     The method is inverse iteration of a block of random motions. Weak springs make the model
-    invertible.
+    invertible. The result is one array of shape (n, H, W, 2), or an empty list.
     """
     steep = model.steepness
     moves = (steep > 0) & ~held
@@ -228,7 +108,7 @@ def find_soft_motions(
     soft = _soft(model, moves, weights)
     count, planes = soft.shape[1], tuple(range(1, 1 + held.ndim))
     if not count:
-        return SoftMotions(pins, np.zeros((0, *held.shape)), np.zeros((0, 0)), [])
+        return []
     *_, order = scipy.linalg.qr(soft.T, mode="economic", pivoting=True)
     at = np.flatnonzero(moves)[order[:count]]
     pins.ravel()[at] = True
@@ -241,15 +121,12 @@ def find_soft_motions(
     for _ in range(_SEPARATIONS):
         # Rounding errors of large energies hide small energies until the motions are separated.
         ways /= np.sqrt((steep * ways**2).sum(axis=planes, keepdims=True))
-        cost = _costs(model, ways)
-        _, modes = np.linalg.eigh(cost)
+        _, modes = np.linalg.eigh(_costs(model, ways))
         ways = np.tensordot(modes.T, ways, 1)
-    cost = _costs(model, ways)
-    is_free = np.diagonal(cost) < _FREE * (steep * ways**2).sum(axis=planes)
-    free, ways, cost = ways[is_free], ways[~is_free], cost[~is_free][:, ~is_free]
+    energies = 2 * np.array([model.work(way)[0] for way in ways])
+    free = ways[energies < _FREE * (steep * ways**2).sum(axis=planes)]
     free /= np.abs(free).max(axis=planes, keepdims=True)
-    motions = [np.stack([host.field(way) for way in free])] if len(free) else []
-    return SoftMotions(pins, ways, cost, motions)
+    return [np.stack([host.field(way) for way in free])] if len(free) else []
 
 
 def _costs(model: LinearModel, ways: Float64Array) -> Float64Array:
@@ -263,12 +140,6 @@ def _costs(model: LinearModel, ways: Float64Array) -> Float64Array:
         both, _ = model.work(ways[one] + ways[two])
         costs[one, two] = costs[two, one] = both - energies[one] - energies[two]
     return costs
-
-
-def _product(model: LinearModel, one: Planes, two: Planes) -> float:
-    """Return the energy inner product of two motions."""
-    # The energy of a motion is half its inner product with itself.
-    return (model.work(one + two)[0] - model.work(one - two)[0]) / 2
 
 
 def _soft(model: LinearModel, moves: HeldPlanes, weights: Float64Array) -> Float64Array:

@@ -9,6 +9,7 @@ Otherwise, or if the iteration stalls, the system is factorized.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from enum import Enum, auto
 from functools import partial
 from typing import Any
@@ -429,7 +430,7 @@ class Refinement:
         factors = factorise(self._model, self._report, known if self.estimate < math.inf else "")
         before = math.inf
         rest, self._low = self._left(d, load), np.zeros_like(d)
-        directions = None if self._model.bodies is None else _Directions(self._model)
+        directions = None if self._model.bodies is None else Directions(self._image)
         while rest.any():
             correction = factors.solve(rest)
             self._project(correction)
@@ -468,6 +469,10 @@ class Refinement:
         self._project(rest)
         return rest
 
+    def _image(self, way: Planes) -> Planes:
+        """Return the forces that hold a displacement, A d."""
+        return -self._model.pull(way)
+
     def _report_cycle(self, estimate: float, tolerance: float) -> None:
         """Count and report a cycle; raise an error if there were too many."""
         self.cycles += 1
@@ -482,15 +487,21 @@ class Refinement:
             )
 
 
-class _Directions:
-    """Conjugate search directions for a factorization with hinges between touching rigid parts.
+class Directions:
+    """Conjugate search directions for a factorization that misses a few motions.
 
     In the factorized matrix, parts of a rigid body that touch in one site can rotate against each
-    other. Further directions correct for such free motions.
+    other. In the blanket reading, rounding errors hide the energy of bending. Further directions
+    correct for such motions.
+
+    Parameters
+    ----------
+    image : callable
+        Function that returns the product of the true matrix and a displacement.
     """
 
-    def __init__(self, model: LinearModel) -> None:
-        self._model = model
+    def __init__(self, image: Callable[[Planes], Planes]) -> None:
+        self._image = image
         self._last: tuple[Planes, Planes, float] | None = None
         self._left = _MOST_HINGES
 
@@ -505,7 +516,7 @@ class _Directions:
         if self._last is not None:
             way, image, bend = self._last
             correction -= (correction * image).sum() / bend * way
-        image = -self._model.pull(correction)
+        image = self._image(correction)
         bend = float((correction * image).sum())
         if not bend > 0:
             return correction
@@ -560,6 +571,36 @@ def _links_of(model: LinearModel) -> Links | None:
     return Links(coupling.matrix() / material.unit, coupling.stiffness.shape, coupling.places())
 
 
+def check_factors_fit(model: LinearModel, known: str = "") -> None:
+    """Raise an error if no factorization is available.
+
+    The text `known` is appended to the error message for volumes.
+
+    Raises
+    ------
+    ConvergenceError
+        If the factorization needs too much memory.
+    """
+    if _is_coupled(model) and not factors_fit(model):
+        raise ConvergenceError(
+            "cycles may miss motions of parts that slide along each other, and the tissue is "
+            "too large for a factorization. Hold more of the tissue, reduce the ratio of the "
+            f"stiffest to the softest tissue, or crop the image{known}"
+        )
+    if len(model.shape) == 3 and not factors_fit(model):
+        raise ConvergenceError(
+            "cycles may miss motions of this volume, and no factorization is available. "
+            "Raise max_iterations, crop the volume, hold more of it, or reduce the ratio of "
+            f"the stiffest to the softest tissue{known}"
+        )
+    if not factors_fit(model):
+        raise ConvergenceError(
+            "cycles may miss motions of this tissue, and a factorization needs "
+            f"{Factors.required_memory(model.shape) / 2**30:.0f} GiB of memory. Crop the "
+            "image, or reduce the ratio of the stiffest to the softest tissue"
+        )
+
+
 def factorise(model: LinearModel, report: Report, known: str = "") -> Factors:
     """Return the factorization of a model with its current constraints; the result is cached.
 
@@ -571,24 +612,7 @@ def factorise(model: LinearModel, report: Report, known: str = "") -> Factors:
         If the factorization needs too much memory or the system is singular in double precision.
     """
     if model.earlier.factors is None:
-        if _is_coupled(model) and not factors_fit(model):
-            raise ConvergenceError(
-                "cycles may miss motions of parts that slide along each other, and the tissue is "
-                "too large for a factorization. Hold more of the tissue, reduce the ratio of the "
-                f"stiffest to the softest tissue, or crop the image{known}"
-            )
-        if len(model.shape) == 3 and not factors_fit(model):
-            raise ConvergenceError(
-                "cycles may miss motions of this volume, and no factorization is available. "
-                "Raise max_iterations, crop the volume, hold more of it, or reduce the ratio of "
-                f"the stiffest to the softest tissue{known}"
-            )
-        if not factors_fit(model):
-            raise ConvergenceError(
-                "cycles may miss motions of this tissue, and a factorization needs "
-                f"{Factors.required_memory(model.shape) / 2**30:.0f} GiB of memory. Crop the "
-                "image, or reduce the ratio of the stiffest to the softest tissue"
-            )
+        check_factors_fit(model, known)
 
         def report_part(part: float) -> None:
             report(Monitor(f"factorizing, {part:.0%}", part))
@@ -600,7 +624,7 @@ def factorise(model: LinearModel, report: Report, known: str = "") -> Factors:
         except Singular:
             if model.bodies is None:
                 raise ConvergenceError(BARELY_HELD) from None
-            # Parts of a body that touch in one site turn freely; see `_Directions`.
+            # Parts of a body that touch in one site turn freely; see `Directions`.
             on_bodies = model.bodies.hold(np.zeros_like(model.moves))
             springs = np.where(on_bodies, _HINGE_SPRINGS * model.steepness, 0.0)
             try:

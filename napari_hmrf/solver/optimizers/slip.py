@@ -6,11 +6,13 @@ position and is pulled towards it with the force p. The energy of an observation
 a kink at the observed position. The kink is rounded, and the width of the rounding is reduced in
 steps. Each step of Newton's method is a linear problem with a data term. The result shows which
 components slip. The problem with these states is then solved without rounding, and the states that
-contradict the result are exchanged.
+contradict the result are exchanged. If no consistent states are found, the result for the narrowest
+kink is the solution, and its change since the previous width is the error.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -25,9 +27,10 @@ from napari_hmrf.solver.backends.base import Backend
 from napari_hmrf.solver.backends.linear import HeldPlanes, LinearModel, Planes
 from napari_hmrf.solver.data_term import DataTerm, packed_axes
 from napari_hmrf.solver.optimizers import least_motion
+from napari_hmrf.solver.optimizers.base import Report
 from napari_hmrf.solver.optimizers.external_forces import SoftObservations
 from napari_hmrf.solver.optimizers.loading import work_of
-from napari_hmrf.solver.optimizers.refinement import Refinement
+from napari_hmrf.solver.optimizers.refinement import Refinement, add
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.rigid_modes import free_motions
 
@@ -37,8 +40,11 @@ Float64Array = npt.NDArray[np.float64]
 _FIRST_WIDTH = 0.2
 # Ratio of each width of the kink to the previous one.
 _WIDTH_FACTOR = 0.1
-# Final width of the kink, as a fraction of the tolerance.
-_LAST_WIDTH = 1e-3
+# Width of the kink from which its result may be accepted, and smallest width, as fractions of the
+# tolerance.
+_NARROW, _LEAST_WIDTH = 1e-3, 1e-7
+# Largest change of the field since the previous width that ends the search, in tolerances.
+_SMALL_CHANGE = 0.1
 # Width of the kink, as a fraction of the largest displacement, from which states are tried.
 _SHARP = 0.02
 # Largest number of Newton steps for a width, and step that ends them, in widths.
@@ -86,6 +92,7 @@ class Slip:
         Energy at zero displacement.
     new_refinement : callable
         Function that returns a `Refinement` of a model.
+    report : callable
     """
 
     def __init__(
@@ -99,11 +106,12 @@ class Slip:
         load: Planes | None,
         stored: float,
         new_refinement: Callable[[LinearModel], Refinement],
+        report: Report,
     ) -> None:
         self._problem, self._backend, self._latest = problem, backend, model
         self._material = model.material
         self._y, self._load, self._stored = y, load, stored
-        self._new_refinement = new_refinement
+        self._new_refinement, self._report = new_refinement, report
         self._fixed: HeldPlanes = observed & np.isinf(limit)
         self._at = np.flatnonzero(observed & ~self._fixed)
         self._aims, self._limit = y.ravel()[self._at], limit.ravel()[self._at]
@@ -122,6 +130,8 @@ class Slip:
         self._soft: tuple[LinearModel, Refinement] | None = None
         #: Required force of each observation in the last field.
         self._needed: Float64Array = np.zeros(len(self._at))
+        #: Rounding error of the field while the kink is rounded, or None if it is negligible.
+        self._low: Planes | None = None
 
     def run(self, d: Planes, tolerance: float) -> None:
         """Minimize the energy over `d`, in place."""
@@ -257,6 +267,10 @@ class Slip:
         """Return all free motions of tissue with the constrained components `held`."""
         return list(free_motions(self._problem, host.field(held)))
 
+    def _free_in_result(self, holds: npt.NDArray[np.bool_]) -> list[Float64Array]:
+        """Return all free motions of the result if only the observations `holds` hold it."""
+        return self._free(self._held(holds))
+
     def _is_balanced(self, motions: list[Float64Array]) -> bool:
         """Return whether the forces for the current states do no work over free motions."""
         load = self._with_load(self._planes(self._sides * self._limit))
@@ -287,7 +301,7 @@ class Slip:
         sides = np.where(holds & ~below, np.sign(needed), self._sides)
         load = self._with_load(self._planes(sides * self._limit))
         motions = []
-        for ways in self._free(self._held(holds & below)):
+        for ways in self._free_in_result(holds & below):
             work = np.array([work_of(load, host.planes(way)) for way in ways])
             if all(_works_nothing(load, way) for way in ways):
                 motions.append(ways)
@@ -302,15 +316,23 @@ class Slip:
     def _soften(self, d: Planes, tolerance: float) -> None:
         """Minimize the energy over `d`, in place, with successively narrower kinks."""
         scale = max(self._scale, float(np.abs(self._off(d)).max(initial=0.0)), tolerance)
-        last = _LAST_WIDTH * tolerance
-        width = max(_FIRST_WIDTH * scale, last)
         np.copyto(d, self._y, where=self._fixed)
         self._hold(self._model, self._fixed, d)
         soft = SoftObservations(self._y, self._yielding, self._load)
-        while True:
+        first, last = _FIRST_WIDTH * scale, _LEAST_WIDTH * tolerance
+        count = 1 + math.ceil(math.log(last / first, _WIDTH_FACTOR))
+        error = math.inf
+        for width in np.geomspace(first, last, count):
+            wider = d.copy()
             soft.sharpen(d, width)
-            self._minimize(d, soft, width)
-            if width <= _SHARP * scale or width == last:
+            try:
+                self._minimize(d, soft, width)
+            except ConvergenceError:
+                if error > tolerance:
+                    raise
+                break
+            error = float(np.abs(d - wider).max())
+            if width <= _SHARP * scale:
                 off = self._off(d)
                 length = np.hypot(off, width)
                 slack = width**2 / (length * (length + np.abs(off)))
@@ -320,32 +342,55 @@ class Slip:
                 if self._exchange(d, tolerance):
                     return
                 np.copyto(d, rounded)
-            if width == last:
-                raise ConvergenceError(
-                    "no consistent slipping observations were found. Raise the penalty, or hold "
-                    "more of the tissue"
-                )
-            width = max(_WIDTH_FACTOR * width, last)
+            if width <= _NARROW * tolerance and error <= _SMALL_CHANGE * tolerance:
+                break
+        self._accept(d, soft, error, tolerance)
+
+    def _accept(self, d: Planes, soft: SoftObservations, error: float, tolerance: float) -> None:
+        """Accept the result for the narrowest kink if its error is within the tolerance."""
+        if error > tolerance:
+            raise ConvergenceError(
+                "no consistent slipping observations were found. Raise the penalty, or hold more "
+                "of the tissue"
+            )
+        self._needed = -soft.forces(d).ravel()[self._at]
+        if self._load is not None:
+            self._needed -= self._load.ravel()[self._at]
+        is_at_limit = np.abs(self._needed) >= (1 - _NEAR_LIMIT) * self._limit
+        self._sides = np.where(is_at_limit, np.sign(self._needed), 0.0)
+        self.refinement.error = self.refinement.estimate = error
+        self._hold(self._model, self._fixed, d)
+        self.refinement.residual = self._model.balance(d, -soft.forces(d)).norm
+        self.refinement.set_energy(self.energy(d))
 
     def _minimize(self, d: Planes, soft: SoftObservations, width: float) -> None:
         """Minimize the energy with a rounded kink over `d`, in place, by Newton's method."""
         for _ in range(_MOST_STEPS):
-            rest = self._model.pull(d) - soft.forces(d)
-            model, refinement = self._with_springs(soft.springs(d))
-            model.hold(self._fixed)
-            rest[~model.moves] = 0
-            step = np.zeros_like(d)
-            refinement.run(step, rest, _STEP_TOLERANCE * width)
+            step = self._newton_step(d, soft, width)
+            step *= self._part(d, step, soft)
             before = d.copy()
-            np.add(d, self._part(d, step, soft) * step, out=d)
+            if self._low is None:
+                d += step
+            else:
+                add(d, self._low, step)
             soft.follow(before, d)
             moved = float(np.abs(d - before).max())
             if moved <= _LAST_STEP * width:
                 return
 
+    def _newton_step(self, d: Planes, soft: SoftObservations, width: float) -> Planes:
+        """Return the Newton step from `d` for a rounded kink."""
+        rest = self._model.pull(d) - soft.forces(d)
+        model, refinement = self._with_springs(soft.springs(d))
+        model.hold(self._fixed)
+        rest[~model.moves] = 0
+        step: Planes = np.zeros_like(d)
+        refinement.run(step, rest, _STEP_TOLERANCE * width)
+        return step
+
     def _part(self, d: Planes, step: Planes, soft: SoftObservations) -> float:
         """Return the part of a step at which the energy is lowest, from 0 to 1."""
-        pull, change = self._model.pull(d).copy(), self._model.pull(step)
+        pull, change = self._model.pull(d, self._low).copy(), self._model.pull(step)
 
         def slope(part: float) -> float:
             forces = soft.forces(d + part * step) - pull - part * change
