@@ -1,4 +1,11 @@
-"""Krylov iterations preconditioned by a V-cycle, with estimates of the spectrum and the error."""
+"""Krylov iterations preconditioned by a V-cycle, with estimates of the spectrum and the error.
+
+Let B be the cycle and r the residual. The error is A^-1 r, and in the norm of B^-1 it is at most
+that of the correction B r, divided by the smallest eigenvalue of B A. The estimate uses the largest
+component in place of this norm, and the smallest eigenvalue that the iteration has found (Lanczos).
+This value is never below the smallest eigenvalue: a soft motion that the iteration has not found
+yet makes the estimate too small. `refinement` guards against that.
+"""
 
 from __future__ import annotations
 

@@ -135,6 +135,7 @@ class Multigrid:
             pulls, stored = with_data(material.data, problem, pulls, stored)
             model, smoothing = backend.elastic_model(material), smoothing_of(material)
         else:
+            assert isinstance(prior, SeilerPrior)
             check_bending(problem)
             model, smoothing = backend.seiler_model(prior.material(problem)), BENDING
         holds = limit is None and isinstance(prior, ElasticPrior)
