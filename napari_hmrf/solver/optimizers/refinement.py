@@ -180,11 +180,6 @@ class Refinement:
         """Return the forces of the tissue after the last run, without the rounding error of `d`."""
         return self._model.pull(d, self._low).copy()
 
-    def require_rehearsal(self) -> None:
-        """Require a new trial solve, because new constraints may change the spectrum."""
-        if self._underestimate is not None and self._underestimate <= self._believable:
-            self._underestimate = None
-
     def run(
         self, d: Planes, load: Planes | None, tolerance: float, known: Quality | None = None
     ) -> None:

@@ -194,14 +194,15 @@ class Slip:
         fewest, patience, near = len(self._at) + 1, _PATIENCE, _ROUGH * tolerance
         for number in range(_EXCHANGES):
             held = self._held(self._sides == 0)
-            ways = self._free(held)
-            if not self._is_balanced(ways):
-                return False
             before = d.copy()
             try:
+                ways = self._free(held)
+                if not self._is_balanced(ways):
+                    return False
                 needed = self._solve(d, near, self._pins(ways))
             except (ConvergenceError, ProblemError):
-                return False  # a body cannot have all observed positions
+                # The tolerance is out of reach, or a body cannot have all observed positions.
+                return False
             if ways:
                 self._least(d, needed, ways)
             holds = self._sides == 0
@@ -279,9 +280,9 @@ class Slip:
     def _pins(self, motions: list[Float64Array]) -> HeldPlanes:
         """Return components that prevent all free motions if they are constrained."""
         pins: HeldPlanes = np.zeros(self._y.shape, np.bool_)
+        at = np.flatnonzero(self._model.steepness.ravel() > 0) if motions else np.zeros(0, int)
         for ways in motions:
             moves = np.stack([host.planes(way).ravel() for way in ways])
-            at = np.flatnonzero(self._model.steepness.ravel() > 0)
             *_, order = scipy.linalg.qr(moves[:, at], mode="economic", pivoting=True)
             pins.ravel()[at[order[: len(ways)]]] = True
         return pins
@@ -321,17 +322,21 @@ class Slip:
         soft = SoftObservations(self._y, self._yielding, self._load)
         first, last = _FIRST_WIDTH * scale, _LEAST_WIDTH * tolerance
         count = 1 + math.ceil(math.log(last / first, _WIDTH_FACTOR))
-        error = math.inf
+        error, before = math.inf, first
         for width in np.geomspace(first, last, count):
-            wider = d.copy()
+            wider, low = d.copy(), None if self._low is None else self._low.copy()
             soft.sharpen(d, width)
             try:
-                self._minimize(d, soft, width)
+                is_minimal = self._minimize(d, soft, width)
             except ConvergenceError:
                 if error > tolerance:
                     raise
+                np.copyto(d, wider)
+                self._low = low
+                soft.sharpen(d, before)
                 break
-            error = float(np.abs(d - wider).max())
+            error = float(np.abs(d - wider).max()) if is_minimal else math.inf
+            before = width
             if width <= _SHARP * scale:
                 off = self._off(d)
                 length = np.hypot(off, width)
@@ -360,13 +365,21 @@ class Slip:
         self._sides = np.where(is_at_limit, np.sign(self._needed), 0.0)
         self.refinement.error = self.refinement.estimate = error
         self._hold(self._model, self._fixed, d)
-        self.refinement.residual = self._model.balance(d, -soft.forces(d)).norm
+        rest = self._model.pull(d, self._low) - soft.forces(d)
+        rest[~self._model.moves] = 0
+        if self._model.bodies is not None:
+            self._model.bodies.project(rest)
+        self.refinement.residual = float(np.linalg.norm(rest))
         self.refinement.set_energy(self.energy(d))
 
-    def _minimize(self, d: Planes, soft: SoftObservations, width: float) -> None:
-        """Minimize the energy with a rounded kink over `d`, in place, by Newton's method."""
+    def _minimize(self, d: Planes, soft: SoftObservations, width: float) -> bool:
+        """Minimize the energy with a rounded kink over `d`, in place, by Newton's method.
+
+        Return whether the steps have become small.
+        """
         for _ in range(_MOST_STEPS):
             step = self._newton_step(d, soft, width)
+            length = float(np.abs(step).max())
             step *= self._part(d, step, soft)
             before = d.copy()
             if self._low is None:
@@ -374,9 +387,9 @@ class Slip:
             else:
                 add(d, self._low, step)
             soft.follow(before, d)
-            moved = float(np.abs(d - before).max())
-            if moved <= _LAST_STEP * width:
-                return
+            if not step.any() or np.abs(d - before).max() <= _LAST_STEP * width:
+                return length <= _LAST_STEP * width
+        return False
 
     def _newton_step(self, d: Planes, soft: SoftObservations, width: float) -> Planes:
         """Return the Newton step from `d` for a rounded kink."""

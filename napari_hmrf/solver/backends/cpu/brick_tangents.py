@@ -377,7 +377,7 @@ def smooth(thread, d, load, image, inverse, weight, springs, out, scale, ahead, 
     """Compute a Chebyshev step: out = d + scale D^-1 (load - (A + W) d) + ahead d - back out.
 
     `image` is A d. On entry, `out` has the displacement before the last step, which was d - out.
-    Arrays are those of `level.rows`.
+    Arrays are those of `layout.rows`.
     """
     for i in portion(thread, d.shape[1]):
         for k in range(d.shape[0]):
@@ -392,7 +392,7 @@ def smooth(thread, d, load, image, inverse, weight, springs, out, scale, ahead, 
 def rest(thread, d, load, given, image, inverse, weight, springs, scale, out):
     """Compute out = scale (given load - (A + W) d), with 0 at fixed components.
 
-    `image` is A d, and may be the array `out`. Arrays are those of `level.rows`.
+    `image` is A d, and may be the array `out`. Arrays are those of `layout.rows`.
     """
     for i in portion(thread, d.shape[1]):
         for k in range(d.shape[0]):

@@ -4,7 +4,7 @@
 3 planes in an image and 6 in a volume. On the levels of a model, `weight` contains the diagonal of
 W and of the springs, and `mixed` the other components of W followed by those of (D + W)^-1, whose
 diagonal is in `inverse`. All arrays have a border of void, two sites wide. Loops over sites accept
-volumes as views of all rows (`level.rows`).
+volumes as views of all rows (`layout.rows`).
 """
 
 # mypy: disable-error-code="no-untyped-def, no-any-return, untyped-decorator"

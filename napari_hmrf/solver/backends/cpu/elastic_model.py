@@ -172,12 +172,14 @@ class CpuElasticModel(HostModel):
 
     def _small_levels(self, little: Sequence[tuple[int, ...]], has_data: bool) -> SmallLevels:
         """Return the small levels, which share memory and a single-call V-cycle."""
+        # Not `self`, which the levels would keep in memory until garbage collection.
+        shape = self._shape
 
         def level(grid: tuple[int, ...], memory: Mapping[str, Vector]) -> CpuElasticLevel:
-            return CpuElasticLevel(grid, self._shape, memory=memory, has_data=has_data)
+            return CpuElasticLevel(grid, shape, memory=memory, has_data=has_data)
 
         planes = small.DATA_PLANES if has_data else small.PLANES
-        cycle = partial(_data_cycle if has_data else _cycle, self._shape)
+        cycle = partial(_data_cycle if has_data else _cycle, shape)
         return SmallLevels(little, int(planes), level, cycle)
 
     def fits(self, material: ElasticMaterial, whole: bool) -> bool:

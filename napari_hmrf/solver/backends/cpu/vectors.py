@@ -2,7 +2,7 @@
 
 Planes have a border of void, two sites wide. `inverse` is the reciprocal of the model's
 diagonal, and 0 where a component does not move. Scalar products are returned per row. Loops that
-treat rows independently also accept volumes as views of all rows (`level.rows`), and loops that
+treat rows independently also accept volumes as views of all rows (`layout.rows`), and loops that
 visit all values in any order accept each layout (`layout`).
 """
 

@@ -191,7 +191,7 @@ def smooth(
 
 @disjoint_parallel
 def start(thread, load, inverse, mixed, d, scale):
-    """Compute the first step from zero, ``d = scale * D^-1 load``, for arrays from `level.rows`.
+    """Compute the first step from zero, ``d = scale * D^-1 load``, for arrays from `layout.rows`.
 
     `mixed` is None without a data term.
     """

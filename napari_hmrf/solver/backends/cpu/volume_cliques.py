@@ -1,7 +1,7 @@
 """Compiled loops for the paper's cliques in a volume, in both precisions.
 
 All arrays have a border of void, two sites wide on every side. A volume is represented as a view of
-all its rows (`level.rows`), shape (C, R, W + 4), in which a row and the same row of the next plane
+all its rows (`layout.rows`), shape (C, R, W + 4), in which a row and the same row of the next plane
 are H + 4 rows apart. The direction of a line of cliques is given as an offset in rows and in sites:
 `offsets`, shape (13, 2). `lines` contains the weight of each line for each component. Border rows
 have empty spans.
