@@ -1,4 +1,4 @@
-"""Random cavities and interfaces against dense solutions; ``make cavities`` compares thousands."""
+"""Random cavities, interfaces and pairs of inputs; campaigns compare thousands of each."""
 
 import numpy as np
 import pytest
@@ -44,6 +44,13 @@ def test_a_dozen_random_problems_have_the_field_of_a_dense_solution():
     kinds = {verdict.kinds["problem"].partition(",")[0] for verdict in verdicts}
     assert kinds == {"cavity", "sliding", "both"}
     assert sum(verdict.outcome == "right" for verdict in verdicts) >= 8
+
+
+def test_pairs_of_inputs_have_the_field_of_a_dense_solution():
+    # A rigid body whose first estimate is too small, and observed sites that follow.
+    run = campaign.run("combinations", [901, 1351, 2723, *range(12)])
+    assert run.is_right, campaign.report(run)
+    assert sum(verdict.outcome == "right" for _, verdict in run.verdicts) >= 10
 
 
 @pytest.mark.parametrize("picture", TOUCHING.values(), ids=TOUCHING)
