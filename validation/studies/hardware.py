@@ -34,7 +34,7 @@ from benchmarks.speed import ellipsoid, growing
 from napari_hmrf import ICM, BackendError, ElasticPrior, Multigrid, Problem, Solution, solve
 from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.data import phantom
-from napari_hmrf.solver.backends.cpu import elastic, forces, hexahedra, vectors, volume
+from napari_hmrf.solver.backends.cpu import elastic, endings, forces, hexahedra, vectors, volume
 from napari_hmrf.solver.backends.opengl.context.device import the_device
 from napari_hmrf.solver.optimizers import Monitor, Optimizer
 from napari_hmrf.solver.priors import Prior, SeilerPrior
@@ -76,8 +76,8 @@ _ADVANCE = ((3, volume._advance_line), (3, volume._subtract_line), (3, volume._s
 _RESTRICT = ((27 / 4, volume._add_line), (3 / 8, volume._sum_pairs))
 _INTERPOLATE = ((3 / 2, volume._mean_line), (3 / 2, volume._add_between))
 VOLUME = (
-    Kernel(volume, "smooth", (*_FORCES, (3, volume._smooth_line)), 64),
-    Kernel(volume, "rest", (*_FORCES, (3, volume._rest_line)), 52),
+    Kernel(volume, "smooth", (*_FORCES, (3, endings.smooth_line)), 64),
+    Kernel(volume, "rest", (*_FORCES, (3, endings.residual_line)), 52),
     Kernel(volume, "start", ((3, volume.start),), 36),
     Kernel(volume, "restrict", _RESTRICT, 13.5),
     Kernel(volume, "interpolate", _INTERPOLATE, 37.5),
