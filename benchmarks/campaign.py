@@ -305,7 +305,7 @@ def judge_parts(seed: int, number: int, backend: str = "cpu") -> Iterator[Verdic
     axes, kind = 3 if number // 3 % 3 == 0 else 2, ("cavity", "sliding", "both")[number % 3]
     drawn = random_parts(dice_of(seed, number), axes, kind != "sliding", kind != "cavity")
     kinds = {"problem": f"{kind}, {'images' if axes == 2 else 'volumes'}"} | drawn.kinds
-    exact, least = reference_of_parts(drawn)
+    exact, least = _reference_of_parts(drawn)
     if np.abs(exact).max() > _MOTION:  # False if the field is unknown
         share = _MOTION / float(np.abs(exact).max())
         drawn, exact = drawn.scaled(share), share * exact
@@ -405,10 +405,7 @@ def judge_combination(seed: int, number: int, backend: str = "cpu") -> Iterator[
 
 def _reference_of(drawn: RandomProblem, tilt: float = 0.0, number: int = 0) -> Slipped:
     """Return the dense solution in pixels, in which sites in no element follow their tissue."""
-    problem, force = drawn.problem, None
-    if drawn.contents is not None:
-        force = forces_of(drawn.contents, problem.stiffness, problem.spacing)
-        force += 0 if drawn.loads is None or drawn.loads.force is None else drawn.loads.force
+    problem, force = drawn.problem, _force_on(drawn)
     if problem.sliding is not None:
         return slipped(problem, drawn.prior, force, tilt, number)
     joined = connected(problem, drawn.prior)
@@ -513,16 +510,18 @@ def _smallest_elastic_jacobian(case: LargeMotion, found: Solution) -> float:
     return least / max(1.0, float((1 + loads.growth).max()) ** 3)
 
 
-def reference_of_parts(
-    drawn: RandomProblem, tilt: float = 0.0, number: int = 0
-) -> tuple[np.ndarray, float]:
+def _reference_of_parts(drawn: RandomProblem) -> tuple[np.ndarray, float]:
     """Return the dense solution in pixels, and the least eigenvalue for a diagonal of 1."""
-    problem, contents = drawn.problem, drawn.contents
-    force = None
-    if contents is not None:
-        force = forces_of(contents, problem.stiffness, problem.spacing)
-    field, least = dense_solution(problem, drawn.prior, force, tilt, number)
-    return field / problem.unit, least
+    field, least = dense_solution(drawn.problem, drawn.prior, _force_on(drawn))
+    return field / drawn.problem.unit, least
+
+
+def _force_on(drawn: RandomProblem) -> np.ndarray | None:
+    """Return the force of a cavity and of other loads on each site, or None without a cavity."""
+    if drawn.contents is None:
+        return None
+    force = forces_of(drawn.contents, drawn.problem.stiffness, drawn.problem.spacing)
+    return force if drawn.loads is None or drawn.loads.force is None else force + drawn.loads.force
 
 
 def _depends_on_normals(drawn: RandomProblem, exact: np.ndarray) -> bool:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import ast
 import io
-import sys
 import tokenize
 from collections import Counter
 from collections.abc import Iterator
@@ -156,4 +155,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

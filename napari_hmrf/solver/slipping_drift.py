@@ -92,7 +92,7 @@ def solve_with_slipping_drift(
     slipped, known = solve_for(drift, initial), None
     joined = connected(problem, prior).problem
     for _ in range(_MOST_DRIFTS):
-        states = _with_states(joined, prior, slipped)
+        states = _with_states(joined, prior, slipped, of_elements)
         is_same = known is not None and np.array_equal(states.known, known)
         if is_same and isinstance(schedule, Multigrid):
             # The same observations slip, so only the errors of the fields keep them apart.
@@ -120,12 +120,17 @@ def solve_with_slipping_drift(
     )
 
 
-def _with_states(problem: Problem, prior: ElasticPrior, slipped: Solution) -> Problem:
+def _with_states(
+    problem: Problem,
+    prior: ElasticPrior,
+    slipped: Solution,
+    of_elements: npt.NDArray[np.bool_],
+) -> Problem:
     """Return the problem in which slipping observations are forces and the others are certain.
 
     Observations of sites in no element have moved to others, which take their places.
     """
-    known = problem.known & sites_of_elements(problem.tissue)[..., None]
+    known = problem.known & of_elements[..., None]
     force = np.where(known, slip_forces(problem, prior, slipped.displacement), 0.0)
     pulls = Loads(force=force * prior.force_unit(problem), spacing=problem.spacing)
     loads = pulls if problem.loads is None else problem.loads + pulls

@@ -143,9 +143,18 @@ class Parts(NamedTuple):
 def assembled(
     problem: Problem, prior: ElasticPrior, force: Array | None, tilt: float, number: int
 ) -> Parts:
-    """Return the system of all parts; for the parameters see `dense_solution`.
+    """Return the system of all parts, without observations that may slip.
 
-    Observations that may slip are left out: they are neither prescribed nor pull.
+    Parameters
+    ----------
+    problem : Problem
+    prior : ElasticPrior
+    force : ndarray, shape (H, W, 2) or (D, H, W, 3), or None
+        Force at each site, in place of the forces of the problem.
+    tilt : float
+        Standard deviation of a random tilt of the normals of interfaces, in degrees.
+    number : int
+        Seed of the tilt.
     """
     m, axes = problem.stiffness.astype(np.float64), problem.stiffness.ndim
     labels = np.zeros(m.shape, np.int32) if problem.sliding is None else problem.sliding.labels
@@ -252,7 +261,7 @@ def sliding_field(problem: Problem, prior: ElasticPrior) -> Array:
 
 
 def dense_solution(
-    problem: Problem, prior: ElasticPrior, force: Array | None, tilt: float = 0.0, number: int = 0
+    problem: Problem, prior: ElasticPrior, force: Array | None
 ) -> tuple[Array, float]:
     """Return the field of a small problem, and the least eigenvalue for a diagonal of 1.
 
@@ -263,10 +272,6 @@ def dense_solution(
     prior : ElasticPrior
     force : ndarray, shape (H, W, 2) or (D, H, W, 3), or None
         Force at each site, in place of the forces of the problem.
-    tilt : float
-        Standard deviation of a random tilt of the normals of interfaces, in degrees.
-    number : int
-        Seed of the tilt.
 
     Returns
     -------
@@ -275,7 +280,7 @@ def dense_solution(
         double precision.
     least : float
     """
-    system = assembled(problem, prior, force, tilt, number)
+    system = assembled(problem, prior, force, 0.0, 0)
     if not len(system.right):
         return system.image(system.right), 1.0
     inner = system.matrix.toarray()
@@ -315,7 +320,7 @@ def _gaps(
     in_elements : ndarray of bool, shape (parts, H, W) or (parts, D, H, W)
         Mask of the sites of the elements of each part.
     tilt, number : float, int
-        As for `dense_solution`.
+        As for `assembled`.
 
     Returns
     -------

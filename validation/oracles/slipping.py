@@ -80,7 +80,7 @@ def slipped(
 ) -> Slipped:
     """Return the field of least energy of a small problem, in pixels.
 
-    The parameters `force`, `tilt` and `number` are those of `parts.dense_solution`.
+    The parameters `force`, `tilt` and `number` are those of `parts.assembled`.
     """
     unit, scale = problem.unit, prior.force_unit(problem)
     parts = assembled(problem, prior, force, tilt, number)

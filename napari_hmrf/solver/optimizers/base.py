@@ -41,6 +41,11 @@ def part_done(first: float, now: float, tolerance: float) -> float:
     return min(max(1 - math.log(max(now / tolerance, 1.0)) / whole, 0.0), 1.0)
 
 
+def factorizing(report: Report) -> Callable[[float], None]:
+    """Return a function that reports the part of a factorization that is done, from 0 to 1."""
+    return lambda part: report(Monitor(f"factorizing, {part:.0%}", part))
+
+
 @dataclass(frozen=True)
 class LevelRun:
     """Record of the iterations on one scale level."""

@@ -16,7 +16,7 @@ from napari_hmrf.solver.backends.direct.dissection import Singular
 from napari_hmrf.solver.backends.direct.factors import Factors
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes
 from napari_hmrf.solver.bending_modes import free_bends
-from napari_hmrf.solver.optimizers.base import Monitor
+from napari_hmrf.solver.optimizers.base import factorizing
 from napari_hmrf.solver.optimizers.external_forces import SoftObservations
 from napari_hmrf.solver.optimizers.null_space import find_free_motions, refuse_free, resolves
 from napari_hmrf.solver.optimizers.refinement import BARELY_HELD, Directions, check_factors_fit
@@ -95,9 +95,6 @@ class BendingSlip(Slip):
         self.refinement.estimate, self.refinement.residual = quality
         return free
 
-    def _report_part(self, part: float) -> None:
-        self._report(Monitor(f"factorizing, {part:.0%}", part))
-
     def _newton_step(self, d: Planes, soft: SoftObservations, width: float) -> Planes:
         """Return the Newton step from `d` for a rounded kink, by factorization."""
         model, springs, low = self._model, soft.springs(d), np.zeros_like(d)
@@ -111,10 +108,11 @@ class BendingSlip(Slip):
             forces[~moves] = 0
             return forces
 
+        report_part = factorizing(self._report)
         for proximal in _PROXIMAL:
             more = springs + proximal * model.steepness
             try:
-                factors = Factors(model.material, moves, self._report_part, more)
+                factors = Factors(model.material, moves, report_part, more)
             except Singular:
                 continue
             step, rest, directions = np.zeros_like(d), load, Directions(image)

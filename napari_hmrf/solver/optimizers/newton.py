@@ -28,7 +28,7 @@ from napari_hmrf.solver.backends.direct.factors import Factors
 from napari_hmrf.solver.backends.finite import FiniteModel
 from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
 from napari_hmrf.solver.backends.rigid.poses import Poses
-from napari_hmrf.solver.optimizers.base import Monitor, Report, part_done
+from napari_hmrf.solver.optimizers.base import Monitor, Report, factorizing, part_done
 from napari_hmrf.solver.optimizers.cycle import Cycle, Smoothing
 from napari_hmrf.solver.optimizers.external_forces import ExternalForces
 from napari_hmrf.solver.optimizers.krylov import (
@@ -624,16 +624,13 @@ class Newton:
 
     def _solve(self, load: Planes) -> _Linear | None:
         """Solve by factorization; return None if the tangent matrix is not positive definite."""
-
-        def report_part(part: float) -> None:
-            self._report(Monitor(f"factorizing, {part:.0%}", part))
-
         moves = self._model.moves
         load = np.where(moves, load, 0.0)
         self._model.project(load)
         self._work.add_factorization()
         try:
-            factors = Factors(self._model.tangents, moves, report_part, self._model.springs)
+            tangents, springs = self._model.tangents, self._model.springs
+            factors = Factors(tangents, moves, factorizing(self._report), springs)
             way = factors.solve(load)
         except Singular:
             return None

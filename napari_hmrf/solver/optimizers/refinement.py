@@ -40,7 +40,7 @@ from napari_hmrf.solver.backends.direct.factors import Factors
 from napari_hmrf.solver.backends.direct.sparse_factors import Links
 from napari_hmrf.solver.backends.earlier_results import Quality, StartQuality
 from napari_hmrf.solver.backends.linear import Balance, LinearModel, Planes
-from napari_hmrf.solver.optimizers.base import Monitor, Report, part_done
+from napari_hmrf.solver.optimizers.base import Monitor, Report, factorizing, part_done
 from napari_hmrf.solver.optimizers.cycle import Cycle, Smoothing
 from napari_hmrf.solver.optimizers.krylov import ConjugateGradients, Step
 from napari_hmrf.solver.optimizers.self_check import BELIEVABLE, Rehearsal
@@ -625,9 +625,7 @@ def factorise(model: LinearModel, report: Report, known: str = "") -> Factors:
     if model.earlier.factors is None:
         check_factors_fit(model, known)
 
-        def report_part(part: float) -> None:
-            report(Monitor(f"factorizing, {part:.0%}", part))
-
+        report_part = factorizing(report)
         report_part(0.0)
         factors = partial(Factors, model.material, model.moves, report_part)
         try:

@@ -96,16 +96,16 @@ class CpuElasticLevel(CpuLevel):
         """Write the diagonal of the stiffness matrix to `out`."""
         self.loops.diagonal(self, out)
 
-    def hold(self, held: HeldPlanes, springs: Planes | None = None) -> None:
+    def hold(self, held: HeldPlanes) -> None:
         """Set the prescribed components of the finest level, and constrain deflated bodies."""
         self.moving_inverse, self.moving_spans = self.inverse, self.spans
         if self.bodies is None or not self.bodies.is_deflated:
-            super().hold(held, springs)
+            super().hold(held)
             return
         self.moving_inverse, self.moving_spans = self._with_bodies
         self.write_diagonal(self.moving_inverse)
         self._hold(held, self.moving_inverse, self.moving_spans)
-        super().hold(self.bodies.hold(held), springs)
+        super().hold(self.bodies.hold(held))
         # Deflation also changes the correction at bodies, so the next cycle must reset it there.
         self.spans[:] = self.moving_spans
 

@@ -167,7 +167,7 @@ class CpuFiniteModelBase:
         if self.has_data:
             for fine, coarse in pairs:
                 fine.coarsen_data(coarse)
-        self.levels[0].hold(held, springs)
+        self.levels[0].hold_with_springs(held, springs)
         for fine, coarse in pairs:
             coarse.hold_as(fine)
         for level in self.levels:

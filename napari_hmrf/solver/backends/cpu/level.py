@@ -163,15 +163,12 @@ class CpuLevel:
         if self.diagonal is not None:
             np.copyto(self.diagonal, self.inverse)
 
-    def hold(self, held: HeldPlanes, springs: Planes | None = None) -> None:
-        """Set the prescribed components of the finest level.
+    def hold(self, held: HeldPlanes) -> None:
+        """Set the prescribed components of the finest level."""
+        self.hold_with_springs(held, None)
 
-        Parameters
-        ----------
-        held : ndarray of bool, planes
-        springs : ndarray, planes, optional
-            Values added to the diagonal.
-        """
+    def hold_with_springs(self, held: HeldPlanes, springs: Planes | None) -> None:
+        """Set the prescribed components of the finest level, and values added to its diagonal."""
         self._write_diagonals()
         compute_thread.check_cancelled()
         weight = None if springs is None else springs.astype(np.float32)

@@ -86,10 +86,10 @@ class CpuSeilerLevel(CpuLevel):
         """Copy the diagonal to `out`."""
         np.copyto(out, self._diagonal)
 
-    def hold(self, held: HeldPlanes, springs: Planes | None = None) -> None:
+    def hold(self, held: HeldPlanes) -> None:
         """Set the prescribed components of the finest level; sites without cliques are fixed."""
         alone = (self.stiffness[0] > 0) & (self._diagonal == 0)
-        super().hold(held | alone, springs)
+        super().hold(held | alone)
 
     def descend(self, steps: Steps, coarse: Self | None, again: bool = False) -> None:
         """Smooth from zero, or continue if `again`; restrict the residual to `coarse.load`.

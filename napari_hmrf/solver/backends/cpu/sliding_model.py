@@ -117,7 +117,7 @@ class SlidingLevel(CpuLevel):
         self._strength = coupling.strength / unit
         self._image, self._sum = self.vector(), self.vector()
 
-    def hold(self, held: HeldPlanes, springs: Planes | None = None) -> None:
+    def hold(self, held: HeldPlanes) -> None:
         """Set the prescribed components of all models."""
         free = np.zeros(held.shape, np.bool_)
         for part in self._parts:
