@@ -167,6 +167,7 @@ class Refinement:
         )
         self._patience = smoothing.patience
         self.estimate = self.error = math.inf
+        self._unseen_error = 0.0
         self.residual = 0.0
         self.energies: list[float] = []
         self.cycles = 0
@@ -203,6 +204,7 @@ class Refinement:
         """
         balance = self._model.balance(d, load)
         self.residual, self._low, self._gains = balance.norm, None, []
+        self._unseen_error = 0.0
         if known is not None and known.suffices(tolerance, balance.norm):
             self.error = known.error
             self.estimate = min(_REPORTED * known.error, tolerance)
@@ -217,6 +219,14 @@ class Refinement:
     def least(self) -> float:
         """Smallest eigenvalue found by cycles, including the cycles of the warm start."""
         return self._iteration.least
+
+    @property
+    def worst(self) -> float:
+        """Largest plausible error, in pixels, if cycles have missed a slow motion.
+
+        The last run would have met this tolerance, too.
+        """
+        return max(self.estimate, self._unseen_error)
 
     @property
     def by_factors(self) -> bool:
@@ -356,7 +366,8 @@ class Refinement:
         self.estimate = margin * step.reach * self.residual
         if deflation is not None:
             self.estimate += deflation.remaining_distance(balance.rest) * balance.unit
-        return max(self.estimate, _LEAST_MARGIN * step.worst_reach * self.residual)
+        self._unseen_error = _LEAST_MARGIN * step.worst_reach * self.residual
+        return self.worst
 
     @property
     def _is_slow(self) -> bool:
@@ -439,7 +450,7 @@ class Refinement:
         """Reduce the error to the tolerance with a direct factorization."""
         known = f". The estimated error of the field is {self.estimate:.2g} px"
         factors = factorise(self._model, self._report, known if self.estimate < math.inf else "")
-        before = math.inf
+        self._unseen_error, before = 0.0, math.inf
         rest, self._low = self._left(d, load), np.zeros_like(d)
         directions = None if self._model.bodies is None else Directions(self._image)
         while rest.any():

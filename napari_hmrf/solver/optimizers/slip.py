@@ -57,6 +57,8 @@ _SLOPE = 0.3
 _ROUGH = 10.0
 # Largest number of exchanges, and number of exchanges without fewer contradictions that ends them.
 _EXCHANGES, _PATIENCE = 12, 3
+# Largest expected motion in further exchanges, relative to the motion in the last exchange.
+_FURTHER = 2.0
 # Largest accepted excess of the force of a held component, as a fraction of its limit.
 _EXCESS = 1e-6
 # Accepted motion of a slipping component beyond its observed position, as a fraction of the
@@ -213,12 +215,14 @@ class Slip:
             count = int(np.count_nonzero(wrong))
             # A body stays until the last of its redundant observations slips.
             may_move = bool((wrong & self._on_body).any())
-            is_still = not count or (number > 0 and moved <= near / 2 and not may_move)
-            is_accurate = self.refinement.estimate <= tolerance
+            further = _FURTHER * moved if count else 0.0
+            is_still = not count or (number > 0 and further <= near and not may_move)
+            is_accurate = self.refinement.worst + further <= tolerance
             # An estimate far below what was asked is less reliable beside rigid bodies.
             is_final = near == tolerance or (not count and self._model.bodies is None)
             if is_still and is_accurate and is_final:
                 self._needed = needed
+                self.refinement.estimate += further
                 return True
             self._sides = np.where(wrong, np.where(holds, np.sign(needed), 0.0), self._sides)
             if is_still:

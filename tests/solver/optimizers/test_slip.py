@@ -1,4 +1,6 @@
-"""Uniqueness of slip: balanced forces and unconstrained pieces."""
+"""Slip: balanced forces, unconstrained pieces, and the reported error."""
+
+import itertools
 
 import numpy as np
 import pytest
@@ -7,6 +9,9 @@ from napari_hmrf import ElasticPrior, Multigrid, Problem, ProblemError, SeilerPr
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.cpu.elastic_model import CpuElasticModel
 from napari_hmrf.solver.rigid_modes import free_motions
+from validation.bodies import dice_of
+from validation.oracles.exact import exact_field
+from validation.problems import edits_of, mild_tissue, random_problem
 
 PENALTY = 1e-9
 
@@ -21,6 +26,29 @@ def contradictory_problem(contrast, spacing=(1.0, 1.0), shape=(6, 7), seed=0):
     return Problem(
         observed=y * np.sqrt(spacing[0] * spacing[1]), confidence=c, stiffness=m, spacing=spacing
     )
+
+
+def check_reported_error(problem, prior, tolerance, start=None):
+    """Compare a solution with the exact one."""
+    found = solve(problem, prior, optimizer=Multigrid(tolerance), backend="cpu", initial=start)
+    exact = exact_field(problem, prior).displacement
+    error = np.linalg.norm(found.displacement / problem.unit - exact, axis=-1)
+    assert error[problem.tissue].max() <= found.convergence.error <= tolerance
+
+
+def test_the_reported_error_includes_observations_that_have_yet_to_slip():
+    drawn = random_problem(dice_of(2, 39))
+    check_reported_error(drawn.problem, drawn.prior, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("number", "edit"), [pytest.param(1, 2, id="a motion of a part beside a gap")]
+)
+def test_the_reported_error_includes_slow_motions_after_an_edit(number, edit):
+    edits = edits_of(mild_tissue(dice_of(0, number, 2)), dice_of(0, number, 1))
+    (_, before), (_, edited) = itertools.islice(edits, edit - 1, edit + 1)
+    start = solve(*before, optimizer=Multigrid(0.01), backend="cpu")
+    check_reported_error(*edited, 0.01, start)
 
 
 @pytest.mark.parametrize(
