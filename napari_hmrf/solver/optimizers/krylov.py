@@ -160,7 +160,7 @@ class ConjugateGradients:
         Parameters
         ----------
         least : float
-            Smallest eigenvalue found in the solves of the warm start.
+            Smallest eigenvalue found in earlier runs and in the solves of the warm start.
         """
         self._expected = least
         self.least = min(self.least, least)

@@ -141,6 +141,8 @@ class Refinement:
         Total energy after each cycle; the initial energy if there was no cycle.
     cycles : int
         Number of cycles; each solve with the factorization counts as one cycle.
+    is_rough : bool
+        True if the next run may end before it has found the slowest motions of earlier runs.
     """
 
     def __init__(
@@ -158,6 +160,7 @@ class Refinement:
             report,
             start_quality,
         )
+        self._slowest = 1.0 if start_quality is None else start_quality.least
         self._mild = model.mild and is_firm
         self._believable = _BELIEVABLE_COUPLED if _is_coupled(model) else BELIEVABLE
         # A bound method would create a reference cycle, which would keep the factorization in
@@ -168,6 +171,7 @@ class Refinement:
         self._patience = smoothing.patience
         self.estimate = self.error = math.inf
         self._unseen_error = 0.0
+        self.is_rough = False
         self.residual = 0.0
         self.energies: list[float] = []
         self.cycles = 0
@@ -307,8 +311,9 @@ class Refinement:
         if earlier.underestimate is None or earlier.underestimate > self._believable:
             return False
         iteration.least = min(iteration.least, earlier.least)
-        if self._start_quality is not None:
-            iteration.expect(self._start_quality.least)
+        if not self.is_rough:
+            # The slowest motions dominate the error that earlier runs have left.
+            iteration.expect(self._slowest)
         return True
 
     def _choose_margin(self) -> float:
@@ -357,6 +362,7 @@ class Refinement:
             return _Interrupted.SLOW
         except FloatingPointError:
             return _Interrupted.INDEFINITE
+        self._slowest = min(self._slowest, self._iteration.run_least)
         return _Interrupted.IDLE if last is None else last
 
     def _estimate_error(self, balance: Balance, step: Step, margin: float) -> float:

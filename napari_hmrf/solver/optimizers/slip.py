@@ -201,6 +201,7 @@ class Slip:
                 ways = self._free(held)
                 if not self._is_balanced(ways):
                     return False
+                self.refinement.is_rough = near > tolerance
                 needed = self._solve(d, near, self._pins(ways))
             except (ConvergenceError, ProblemError):
                 # The tolerance is out of reach, or a body cannot have all observed positions.

@@ -42,7 +42,11 @@ def test_the_reported_error_includes_observations_that_have_yet_to_slip():
 
 
 @pytest.mark.parametrize(
-    ("number", "edit"), [pytest.param(1, 2, id="a motion of a part beside a gap")]
+    ("number", "edit"),
+    [
+        pytest.param(1, 2, id="a motion of a part beside a gap"),
+        pytest.param(39, 1, id="motions that are left after many exchanges"),
+    ],
 )
 def test_the_reported_error_includes_slow_motions_after_an_edit(number, edit):
     edits = edits_of(mild_tissue(dice_of(0, number, 2)), dice_of(0, number, 1))
