@@ -11,6 +11,8 @@ from napari_hmrf.data import phantom
 from napari_hmrf.errors import ConvergenceError
 from napari_hmrf.loads import growth
 from napari_hmrf.solver.warm_start import combine_solutions
+from validation.bodies import between_plates
+from validation.oracles.elasticity import direct_solution
 
 TOLERANT = Multigrid(0.01)
 PRIOR = ElasticPrior()
@@ -66,6 +68,15 @@ def test_moving_a_patch_back_needs_no_cycle():
         ).iterations
         == 0
     )
+
+
+def test_a_solution_that_is_solved_again_reports_its_error():
+    problem = between_plates(np.ones((36, 72)), (0, 3))
+    first = solve(problem, PRIOR, optimizer=TOLERANT, backend="cpu")
+    again = solve(problem, PRIOR, optimizer=TOLERANT, backend="cpu", initial=first)
+    assert len(again.energy) == 1, "a cycle changed the solution"
+    error = np.linalg.norm(again.displacement - direct_solution(problem, PRIOR), axis=-1).max()
+    assert error <= again.convergence.error <= TOLERANT.tolerance
 
 
 def test_errors_of_warm_starts_accumulate_until_a_cycle_reduces_them():
