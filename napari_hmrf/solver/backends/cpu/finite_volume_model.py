@@ -151,16 +151,21 @@ class SecondDerivatives:
             bernstein.barrier_matrices(*about, 1.0, self.safe_walls)
         finite_bricks.add_element_matrices(d, self.walled, solid, sides, 1.0, self.safe_walls)
 
-    def matrices(self) -> npt.NDArray[np.float64]:
-        """Return the second derivatives of each element, (D - 1, H - 1, W - 1, 24, 24)."""
-        elements = np.ascontiguousarray(np.argwhere(self._solid[0] > 0))
+    def matrices(self, box: tuple[slice, ...]) -> npt.NDArray[np.float64]:
+        """Return the second derivatives of the elements in a box, shape (d, h, w, 24, 24)."""
+        first = np.array([side.start for side in box])
+        inner = tuple(slice(side.start + PAD, side.stop + PAD) for side in box)
+        shear = self._solid[0][inner]
+        elements = np.ascontiguousarray(np.argwhere(shear > 0) + first + PAD)
         each = np.zeros((len(elements), 24, 24))
         sides, positive = self._sides.astype(np.float64), float(self._positive)
         about = self._d, elements, self._solid, sides, positive
         finite_bricks.add_element_matrices(*about, each)
-        made = np.zeros((*(size - 2 * PAD - 1 for size in self._d.shape[1:]), 24, 24))
-        made[tuple((elements - PAD).T)] = each
-        made[tuple((self.walled - PAD).T)] += self.walls
+        made = np.zeros((*shear.shape, 24, 24))
+        made[tuple((elements - PAD - first).T)] = each
+        at = self.walled - PAD - first
+        is_here = np.all((at >= 0) & (at < shear.shape), axis=1)
+        made[tuple(at[is_here].T)] += self.walls[is_here]
         return made
 
     def apply(self, direction: Vector, image: Vector) -> None:
@@ -245,9 +250,7 @@ class CpuFiniteVolumeModel(CpuFiniteModelBase):
         exact = self.levels[0].exact
         assert exact is not None
         assert self.material is not None
-        matrices = exact.matrices()
-        self.material.add_data(matrices, tuple(slice(0, size - 1) for size in self.shape))
-        return BrickMatrices(matrices)
+        return BrickMatrices(exact, self.material)
 
 
 class BrickMatrices:
@@ -255,18 +258,24 @@ class BrickMatrices:
 
     Parameters
     ----------
-    matrices : ndarray, shape (D - 1, H - 1, W - 1, 24, 24)
-        Second derivatives of each element; 0 in void.
+    exact : SecondDerivatives
+    material : FiniteMaterial
+        Material, whose data term is added.
     """
 
     patch = 2
     margin = 0
     symmetric = True
 
-    def __init__(self, matrices: npt.NDArray[np.float64]) -> None:
-        self._matrices = matrices
+    def __init__(self, exact: SecondDerivatives, material: FiniteMaterial) -> None:
+        self._exact, self._material = exact, material
 
     @property
     def parts(self) -> tuple[tuple[tuple[int, ...], Any], ...]:
-        """Single part with all components, and the function that returns its matrices."""
-        return (((0, 1, 2), lambda *elements: self._matrices[elements]),)
+        """The only part: all components, and the function that returns matrices."""
+        return (((0, 1, 2), self._matrices),)
+
+    def _matrices(self, *box: slice) -> npt.NDArray[np.float64]:
+        matrices = self._exact.matrices(box)
+        self._material.add_data(matrices, box)
+        return matrices
