@@ -33,18 +33,49 @@ _PIECES = 20
 _dropped: deque[Any] = deque()
 
 
-class _ThreadBound:
-    """Wrapper for a SuperLU object, so that the object is freed on the thread that created it."""
+class SymmetricFactors:
+    """Factorization of a symmetric matrix without pivoting, by SuperLU.
 
-    # SciPy keeps a table of allocations for each thread. If another thread frees the object, as the
-    # garbage collector may do, its memory is leaked.
+    Parameters
+    ----------
+    matrix : sparse array
+    order : str
+        Order of elimination, as for `scipy.sparse.linalg.splu`.
 
-    def __init__(self, factors: Any) -> None:
-        self.factors, self._thread = factors, threading.get_ident()
+    Raises
+    ------
+    Singular
+        If a pivot is 0.
+    """
+
+    # SciPy keeps a table of allocations for each thread. If another thread frees the SuperLU
+    # object, as the garbage collector may do, its memory is leaked.
+
+    def __init__(self, matrix: scipy.sparse.sparray, order: str = "NATURAL") -> None:
+        _dropped.clear()
+        self._thread = threading.get_ident()
+        try:
+            self._factors = scipy.sparse.linalg.splu(
+                scipy.sparse.csc_array(matrix),
+                order,
+                diag_pivot_thresh=0.0,
+                options={"SymmetricMode": True},
+            )
+        except RuntimeError:
+            raise Singular from None
+
+    def solve(self, load: Float64Array) -> Float64Array:
+        """Return the solution for a load."""
+        return np.asarray(self._factors.solve(load))
+
+    def pivots(self) -> Float64Array:
+        """Return the pivot of each row; all are positive if the matrix is positive definite."""
+        # SuperLU has reordered the columns.
+        return np.asarray(self._factors.U.diagonal()[self._factors.perm_c])
 
     def __del__(self) -> None:
         if threading.get_ident() != self._thread:
-            _dropped.append(self.factors)
+            _dropped.append(self._factors)
 
 
 class Links(NamedTuple):
@@ -96,7 +127,6 @@ class SparseFactors:
         springs: Float64Array | None = None,
         links: Links | None = None,
     ) -> None:
-        _dropped.clear()
         grid = moves.shape[:-1]
         by_site = np.arange(moves.size).reshape(-1, moves.shape[-1])
         sites = elimination_order(grid if links is None else links.image)
@@ -115,19 +145,9 @@ class SparseFactors:
         if springs is not None:
             matrix = matrix + scipy.sparse.diags_array(springs.ravel()[self._moving])
         progress(0.1)
-        try:
-            factors = scipy.sparse.linalg.splu(
-                matrix.tocsc(),
-                "NATURAL",
-                diag_pivot_thresh=0.0,
-                options={"SymmetricMode": True},
-            )
-        except RuntimeError:
-            raise Singular from None
-        self._bound = _ThreadBound(factors)
+        self._factors = SymmetricFactors(matrix)
         least = np.zeros(len(diagonal)) if springs is not None else HELD * diagonal
-        # SuperLU has reordered the columns.
-        if not (factors.U.diagonal()[factors.perm_c] > least).all():
+        if not (self._factors.pivots() > least).all():
             raise Singular
         progress(1.0)
 
@@ -161,7 +181,7 @@ class SparseFactors:
         """Return the displacement, (H, W, C) or (D, H, W, C), for a load of the same shape."""
         d = np.zeros(load.size)
         if len(self._moving):
-            d[self._moving] = self._bound.factors.solve(load.ravel()[self._moving])
+            d[self._moving] = self._factors.solve(load.ravel()[self._moving])
         return d.reshape(self._shape)
 
 
