@@ -38,11 +38,13 @@ from napari_hmrf.solver.backends.direct.factors import Factors
 from napari_hmrf.solver.connected import connected
 from napari_hmrf.solver.live_solver import TOLERANCE, Update
 from napari_hmrf.solver.priors.finite_strain import BARRIER_BEGIN
+from napari_hmrf.solver.unfolded import unfolded
 from validation.bodies import between_plates, dice_of
 from validation.oracles.elasticity import direct_solution
 from validation.oracles.exact import Exact, exact_field
 from validation.oracles.exact.equations import free_motions
 from validation.oracles.large_motion import large_field, smallest_jacobian, with_stiff_bodies
+from validation.oracles.large_sliding import NotSettledError, large_sliding_field
 from validation.oracles.paper import solve_exactly
 from validation.oracles.parts import dense_solution, forces_of, sliding_field
 from validation.oracles.posterior import posterior_mean
@@ -58,6 +60,7 @@ from validation.problems import (
     random_data,
     random_large_data,
     random_large_motion,
+    random_large_parts,
     random_parts,
     random_problem,
     tissue_with_gaps,
@@ -488,6 +491,58 @@ def judge_large_data(_: int, number: int, backend: str = "cpu") -> Iterator[Verd
     yield replace(verdict, seconds=seconds)
 
 
+def judge_large_sliding(_: int, number: int, backend: str = "cpu") -> Iterator[Verdict]:
+    """Compare sliding parts in large motion with an independent Newton's method.
+
+    Both are loaded from rest. If they settle elsewhere, the independent method begins again from
+    the solution. Faults are those of `judge_parts`, and refusals of parts that are held.
+    """
+    case = random_large_parts(number)
+    problem, kinds = case.problem, {"parts": case.kind}
+    kinds["problem"] = "volumes" if problem.is_volume else "images"
+    begun = now()
+    try:
+        found = solve(problem, case.prior, backend=backend)
+    except ProblemError as refusal:
+        outcome = "refused: sliding" if refusal.field == "sliding" else "refused"
+        yield Verdict(outcome, kinds, note=str(refusal))
+        return
+    except HmrfError as refusal:
+        yield Verdict("refused", kinds, note=str(refusal))
+        return
+    seconds, reach = since(begun).wall, found.reach
+    assert reach is not None
+    if reach.where is not None or reach.unbalanced_at is not None:
+        yield Verdict("unreached, as reported", kinds, seconds=seconds, note=str(reach))
+        return
+    if problem.is_volume and reach.least_jacobian < BARRIER_BEGIN:
+        yield Verdict("not compared", kinds, seconds=seconds)
+        return
+    try:
+        exact = large_sliding_field(problem, case.prior)
+    except NotSettledError as reason:
+        yield Verdict("not compared", kinds, seconds=seconds, note=str(reason))
+        return
+    verdict = _beside(found, problem, exact / problem.unit, kinds)
+    if verdict.is_fault:
+        with suppress(NotSettledError):
+            again = _beside(found, problem, _settled_parts(case, backend) / problem.unit, kinds)
+            if not again.is_fault:
+                note = f"the other is {verdict.error:.2g} pixels away"
+                verdict = replace(again, outcome="another equilibrium", note=note)
+    yield replace(verdict, seconds=seconds)
+
+
+def _settled_parts(case: LargeMotion, backend: str) -> np.ndarray:
+    """Return the field to which the independent method settles from that of sliding parts."""
+    problem, prior = unfolded(case.problem, case.prior)
+    found, boxes = solve(problem, prior, backend=backend), problem.coupling.boxes
+    start = np.zeros((len(boxes), *case.problem.observed.shape))
+    for of_part, box in zip(start, boxes, strict=True):
+        of_part[box.image] = found.displacement[box.unfolded]
+    return large_sliding_field(case.problem, case.prior, 1, start)
+
+
 def _settled(case: LargeMotion, found: Solution) -> np.ndarray:
     """Return the field to which the independent method settles from a solution."""
     problem, start = case.problem, found.displacement
@@ -744,6 +799,7 @@ CAMPAIGNS = {
     "sliding": Campaign(judge_sliding, 50 * len(_BESIDE_PARTS)),
     "data": Campaign(judge_data, 100),
     "large-data": Campaign(judge_large_data, 600),
+    "large-sliding": Campaign(judge_large_sliding, 300),
     "gaps": Campaign(judge_gaps, 4000),
     "large-gaps": Campaign(judge_large_gaps, 1000),
     "gaps-in-volumes": Campaign(judge_gaps_in_volumes, 1000),

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+import scipy.linalg
 import scipy.ndimage as ndi
 
 from napari_hmrf import ElasticPrior, NeoHookeanPrior, Problem, SeilerPrior
@@ -991,6 +992,79 @@ def random_large_motion(dice: Dice, axes: int, known: bool) -> LargeMotion:
         loads = growth(strain * (_ball(dice, shape, 2, size / 2) & ~rigid), along=along)
     problem = Problem(observed=moves, confidence=c, stiffness=m, spacing=spacing, loads=loads)
     return LargeMotion(problem, prior, "known map" if known else kind)
+
+
+def random_large_parts(number: int) -> LargeMotion:
+    """Return two or three parts that slide along each other by several pixels.
+
+    Every third problem is a volume. A part turns, shifts and grows in the tissue around it, or
+    slides on other tissue along a straight or curved interface by 10 to 30 % of its size. A third
+    of the problems has loads, and some have a precision or landmarks.
+    """
+    dice = dice_of(number)
+    axes, kind = 3 if number % 3 == 2 else 2, ("inclusion", "layers", "regions")[number // 3 % 3]
+    least = 12 if axes == 2 else 10 if kind == "inclusion" else 7
+    shape = tuple(map(int, dice.integers(least, 19 if axes == 2 else least + 3, axes)))
+    spacing = tuple(map(float, 2 ** dice.uniform(-1, 1) * 2 ** dice.uniform(-0.3, 0.3, axes)))
+    middle = np.array(shape) / 2 - 0.5 + dice.uniform(-0.5, 0.5, axes)
+    place = np.moveaxis(np.indices(shape), 0, -1) - middle
+    edge = ~_inner(shape, 1)
+    if kind == "inclusion":
+        radii = min(shape) * dice.uniform(0.28 if axes == 2 else 0.32, 0.36, axes)
+        away = np.linalg.norm(place / radii, axis=-1)
+        labels, driven = (away < 1).astype(int), away < 0.55
+    else:
+        if kind == "layers":
+            bend = dice.choice([0.0, dice.uniform(-1, 1)]) / max(shape)
+            height = place[..., 0] + bend * place[..., 1] ** 2
+            labels = (height > dice.uniform(-1, 1)).astype(int)
+        else:
+            labels = _nearest(dice, shape, int(dice.integers(2, 4)))
+        driven = np.zeros(shape, np.bool_)
+        driven[-1], edge = True, np.zeros(shape, np.bool_)
+        edge[0] = True
+    most = (40 if kind == "inclusion" else 10) / (axes - 1)
+    skew = dice.normal(size=(axes, axes))
+    skew -= skew.T
+    angle = math.radians(dice.uniform(0, most))
+    turn = scipy.linalg.expm(angle * skew / np.linalg.norm(skew) * math.sqrt(2))
+    stretch = dice.uniform(0.95, 1.15) if kind == "inclusion" else 1.0
+    shift = dice.normal(size=axes) * (0.3 if kind == "inclusion" else 0.03 * min(shape))
+    if kind == "layers":
+        shift[1] = dice.choice([-1, 1]) * dice.uniform(0.1, 0.3) * shape[1]
+    y = np.zeros((*shape, axes))
+    y[driven] = (stretch * place @ turn.T - place + shift)[driven] * min(spacing)
+    c = np.repeat((driven | edge)[..., None], axes, axis=-1).astype(float)
+    m = (10 ** dice.uniform(0, 1, labels.max() + 1))[labels] * dice.uniform(1, 1.5, shape)
+    m *= 10 ** dice.uniform(-2, 2)
+    loads = precision = marks = None
+    if dice.random() < 0.3:
+        unit = float(np.median(m)) * math.prod(spacing) ** (1 - 1 / axes)
+        force = 0.03 / axes**2 * unit * dice.normal(size=y.shape)
+        loads = Loads(growth=dice.uniform(-0.1, 0.2) * (labels == 1), force=force)
+    if dice.random() < 0.3:
+        unit = math.prod(spacing) ** (1 - 2 / axes)
+        precision = 0.1 * float(m.max()) * unit * dice.random(shape) * (dice.random(shape) < 0.1)
+    if dice.random() < 0.3:
+        elements = np.argwhere(in_elements(m))
+        at = elements[dice.integers(len(elements), size=4)]
+        points = at + dice.random((4, axes))
+        targets = points + 0.3 * dice.normal(size=points.shape)
+        marks = Landmarks(points, targets, sd=min(spacing), scale=StrainScale(0.1))
+    prior = NeoHookeanPrior(
+        float(dice.choice([0.0, 0.3, 0.45])), plane="stress" if dice.random() < 0.5 else "strain"
+    )
+    problem = Problem(
+        observed=y,
+        confidence=c,
+        stiffness=m,
+        spacing=spacing,
+        loads=loads,
+        precision=precision,
+        landmarks=marks,
+        sliding=SlidingParts(labels, strength=float(10 ** dice.uniform(1, 3))),
+    )
+    return LargeMotion(problem, prior, kind)
 
 
 def random_large_data(number: int) -> LargeMotion:

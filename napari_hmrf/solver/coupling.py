@@ -40,6 +40,8 @@ class Coupling:
         Index of each site and of its copy, in the flattened unfolded grid.
     normals : ndarray, shape (n, axes)
         Unit normals.
+    distances : ndarray, shape (n,)
+        Distance of each site from the interface along its normal, in the solver's unit of length.
     strength : ndarray, shape (n,)
         Strength k, in the unit of `Problem.precision`.
     stiffness : ndarray, shape (H, W) or (D, H, W), float32
@@ -55,6 +57,7 @@ class Coupling:
     first: npt.NDArray[np.intp]
     second: npt.NDArray[np.intp]
     normals: Float64Array
+    distances: Float64Array
     strength: Float64Array
     stiffness: npt.NDArray[np.float32]
     boxes: tuple[Box, ...]

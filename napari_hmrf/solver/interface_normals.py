@@ -1,4 +1,4 @@
-"""Normals of the interface between two labels, whose sites are a staircase.
+"""Position and normals of the interface between two labels, whose sites are a staircase.
 
 The interface passes between neighbouring sites of different labels. The midpoints of these pairs
 are at most half a pixel from the true surface. A quadratic surface is therefore fitted to the
@@ -32,6 +32,8 @@ _REACH = 2.0
 #: Largest distance of a midpoint from a fitted surface, in pixels. A midpoint is up to half a pixel
 #: from the true surface; the rest is the error of the fit.
 _NEAR = 0.85
+#: Largest distance of a midpoint from the true surface, in pixels.
+_HALF = 0.5
 #: Weight of a penalty on the squared norm of the matrix of curvatures. It only keeps the fit of a
 #: few midpoints regular.
 _PENALTY = 1.0
@@ -55,7 +57,14 @@ _TOGETHER = 1024
 def interface_normals(
     first: Mask, second: Mask, sites: npt.NDArray[np.intp], spacing: Sequence[float]
 ) -> Float64Array:
-    """Return the normals of the interface between two labels, at sites near the interface.
+    """Return the normals of `interface_surface`."""
+    return interface_surface(first, second, sites, spacing)[0]
+
+
+def interface_surface(
+    first: Mask, second: Mask, sites: npt.NDArray[np.intp], spacing: Sequence[float]
+) -> tuple[Float64Array, Float64Array]:
+    """Return normals and distances of the interface between two labels, at sites near it.
 
     Parameters
     ----------
@@ -68,14 +77,18 @@ def interface_normals(
 
     Returns
     -------
-    ndarray, shape (n, axes)
+    normals : ndarray, shape (n, axes)
         Unit normal in space, from `first` to `second`.
+    distances : ndarray, shape (n,)
+        Distance of each site from the interface along its normal, in the unit of the spacing;
+        negative on the side of `first`.
     """
     size = np.asarray(spacing, np.float64) / max(spacing)
     points, at = _midpoints(first, second) * size, sites * size
     guess = _blurred_normals(first, second, sites, size)
+    distances = np.zeros(len(at))
     if not len(points):
-        return guess  # the labels touch at corners only
+        return guess, distances  # the labels touch at corners only
     tree, axes = scipy.spatial.cKDTree(points), first.ndim
     flat = ~guess.any(axis=1)
     guess[flat] = _thinnest_directions(points, tree, at[flat])
@@ -87,16 +100,19 @@ def interface_normals(
         for start in range(0, len(todo), _TOGETHER):
             some = todo[start : start + _TOGETHER]
             weight, of = _window(tree, at[some], width, _REACH)
-            fitted, residual = _fit(points[of] - at[some, None], weight, guess[some])
+            fitted, height, residual = _fit(points[of] - at[some, None], weight, guess[some])
             worst = np.abs(np.where(weight > 0, residual, 0.0)).max(axis=1)
             good = (worst <= _NEAR) | narrowest
-            normals[some[good]] = fitted[good]
+            # The fit of a few midpoints may pass far from them.
+            far = tree.query(at[some])[0] + _HALF
+            distance = -np.clip(height, -far, far)
+            normals[some[good]], distances[some[good]] = fitted[good], distance[good]
             left.append(some[~good])
         todo = np.concatenate(left) if left else todo[:0]
         if not len(todo):
             break
-    normals *= np.where((normals * guess).sum(axis=1) < 0, -1, 1)[:, None]
-    return _means(at, normals)
+    signs = np.where((normals * guess).sum(axis=1) < 0, -1, 1)
+    return _means(at, normals * signs[:, None]), distances * signs * max(spacing)
 
 
 def _window(
@@ -167,8 +183,8 @@ def _blurred_normals(
 
 def _fit(
     relative: Float64Array, weight: Float64Array, normals: Float64Array
-) -> tuple[Float64Array, Float64Array]:
-    """Fit quadratic surfaces to points, and return their normals at the origin and residuals.
+) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """Fit quadratic surfaces to points, and return their normals, heights and residuals.
 
     Parameters
     ----------
@@ -182,6 +198,9 @@ def _fit(
     Returns
     -------
     normals : ndarray, shape (n, axes)
+        Normals at the origin.
+    height : ndarray, shape (n,)
+        Distance of the surface from the origin along the normal.
     residual : ndarray, shape (n, k)
         Distance of each point from the surface along the normal of the last frame.
     """
@@ -190,7 +209,7 @@ def _fit(
     # The coefficient of u_a u_b is the sum of two equal elements of the matrix of curvatures.
     curvatures = [_PENALTY if a == b else _PENALTY / 2 for a, b in pairs]
     penalty = np.diag([1e-9] * axes + curvatures)
-    residual = np.zeros(weight.shape)
+    residual, middle = np.zeros(weight.shape), np.zeros(len(normals))
     for _ in range(_FRAMES):
         eye = np.broadcast_to(np.eye(axes), (len(normals), axes, axes))
         frame = np.concatenate([normals[:, :, None], eye], axis=2)
@@ -202,10 +221,10 @@ def _fit(
         terms = np.stack(columns, axis=-1)
         weighted = (weight[..., None] * terms).swapaxes(1, 2)
         shape = np.linalg.solve(weighted @ terms + penalty, weighted @ height[..., None])
-        residual = height - (terms @ shape)[..., 0]
+        residual, middle = height - (terms @ shape)[..., 0], shape[:, 0, 0]
         tilted = normals - (along @ shape[:, 1:axes])[..., 0]
         normals = tilted / np.linalg.norm(tilted, axis=1, keepdims=True)
-    return normals, residual
+    return normals, middle, residual
 
 
 def _means(at: Float64Array, normals: Float64Array) -> Float64Array:

@@ -81,8 +81,8 @@ class Problem:
         Observed displacements of points between pixels, with standard deviations, for
         `ElasticPrior` and `NeoHookeanPrior`.
     sliding : SlidingParts, optional
-        Labels of parts of the tissue that slide along each other, for `ElasticPrior`. By default,
-        all tissue is connected.
+        Labels of parts of the tissue that slide along each other, for `ElasticPrior` and
+        `NeoHookeanPrior`. By default, all tissue is connected.
 
     Raises
     ------

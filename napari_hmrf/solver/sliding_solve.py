@@ -13,13 +13,14 @@ import numpy.typing as npt
 import scipy
 
 from napari_hmrf.compute.workspace import Kept
-from napari_hmrf.errors import ProblemError
+from napari_hmrf.errors import ConvergenceError, ProblemError
 from napari_hmrf.field.neighbours import around_sites
 from napari_hmrf.solver.drift import has_drift
 from napari_hmrf.solver.elasticity import Elasticity
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.optimizers import Multigrid, Optimizer
-from napari_hmrf.solver.priors import ElasticPrior, Prior
+from napari_hmrf.solver.optimizers.base import Reach
+from napari_hmrf.solver.priors import Elastic, ElasticPrior, NeoHookeanPrior, Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.rigid_modes import clusters, costs_of, freedom, pieces_of, ties_of
 from napari_hmrf.solver.solution import Solution
@@ -27,7 +28,7 @@ from napari_hmrf.solver.unfolded import UnfoldedProblem, unfolded
 from napari_hmrf.solver.warm_start import Initial
 
 #: Function that solves an unfolded problem with a prior, from a warm start.
-Solve = Callable[[Problem, ElasticPrior, Optimizer, Initial | None], Solution]
+Solve = Callable[[Problem, Elastic, Optimizer, Initial | None], Solution]
 
 #: Smallest part of a rigid motion at an interface that is along the normal; with less, the motion
 #: counts as free. The value is a square, and includes rounding errors.
@@ -67,7 +68,7 @@ def solve_with_sliding(
     ----------
     problem : Problem
     prior : Prior, optional
-        Elastic prior; by default ``ElasticPrior()``.
+        `ElasticPrior`, by default ``ElasticPrior()``, or `NeoHookeanPrior`.
     optimizer : Optimizer, optional
         Multigrid; by default ``Multigrid()``.
     initial : Solution or sequence of Solution, optional
@@ -82,10 +83,9 @@ def solve_with_sliding(
     """
     sliding = problem.sliding
     assert sliding is not None
-    elastic = ElasticPrior() if prior is None else prior
+    given = ElasticPrior() if prior is None else prior
     schedule = Multigrid() if optimizer is None else optimizer
-    _check_support(problem, elastic, schedule)
-    assert isinstance(elastic, ElasticPrior)
+    elastic = _supported(problem, given, schedule)
     parts, of_parts = unfolded(problem, elastic)
     least, freest = _least_held(parts)
     if least < _FREE:
@@ -98,7 +98,9 @@ def solve_with_sliding(
     displacement = parts.coupling.folded(found.displacement)
     if nearly_free:
         change = math.inf
-        with suppress(ProblemError):  # tilted normals may let the loads move a part very far
+        with suppress(
+            ProblemError, ConvergenceError
+        ):  # tilted normals may let the loads move a part very far
             again = solve(_tilted(parts), of_parts, schedule, found)
             moved = parts.coupling.folded(again.displacement)
             change = float(np.abs(moved - displacement).max())
@@ -106,7 +108,9 @@ def solve_with_sliding(
             _refuse(parts, freest, _UNCERTAIN)
     # An energy is reported per site of tissue, and a copy is no site.
     share = np.count_nonzero(parts.tissue) / np.count_nonzero(problem.tissue)
-    loads, elasticity = problem.loads, Elasticity.of_problem(problem, elastic, 1.0)
+    reach = found.reach
+    grown = 1.0 if reach is None else reach.grown
+    loads, elasticity = problem.loads, Elasticity.of_problem(problem, elastic, grown)
     if has_drift(problem, elastic):
         assert found.loads is not None
         assert found.loads.growth is not None
@@ -122,6 +126,7 @@ def solve_with_sliding(
         tissue=problem.tissue,
         loads=loads,
         elasticity=elasticity,
+        reach=None if reach is None else _folded_reach(reach, parts),
         provenance=replace(found.provenance, inputs=problem.digests),
         parts=sliding.labels,
     )
@@ -129,13 +134,46 @@ def solve_with_sliding(
     return solution
 
 
-def _check_support(problem: Problem, prior: Prior, optimizer: Optimizer) -> None:
-    """Raise an error if parts cannot slide in this model."""
-    if not isinstance(prior, ElasticPrior) or not isinstance(optimizer, Multigrid):
+def _supported(problem: Problem, prior: Prior, optimizer: Optimizer) -> Elastic:
+    """Return the prior, or raise an error if parts cannot slide in this model."""
+    if not isinstance(prior, ElasticPrior | NeoHookeanPrior) or not isinstance(
+        optimizer, Multigrid
+    ):
         raise ProblemError(
             "sliding",
-            "is for ElasticPrior with Multigrid. Use this model, or remove the sliding parts.",
+            "is for ElasticPrior or NeoHookeanPrior with Multigrid. Use such a model, or remove "
+            "the sliding parts.",
         )
+    if isinstance(prior, NeoHookeanPrior):
+        if problem.rigid.any():
+            raise ProblemError(
+                "sliding",
+                "cannot be combined with rigid tissue in large motion. Use ElasticPrior, or give "
+                "that tissue a finite stiffness.",
+            )
+        if prior.can_slip(problem):
+            raise ProblemError(
+                "sliding",
+                "cannot be combined with observations that may slip in large motion. Use "
+                "ElasticPrior, or a confidence of 1.",
+            )
+    return prior
+
+
+def _folded_reach(reach: Reach, parts: UnfoldedProblem) -> Reach:
+    """Return a report whose sites are those of the image."""
+    places, shape = parts.coupling.places(), parts.coupling.stiffness.shape
+
+    def folded(site: tuple[int, ...]) -> tuple[int, ...]:
+        place = places[np.ravel_multi_index(site, parts.shape)]
+        return tuple(map(int, np.unravel_index(place, shape)))
+
+    return replace(
+        reach,
+        where=None if reach.where is None else folded(reach.where),
+        unbalanced_at=None if reach.unbalanced_at is None else folded(reach.unbalanced_at),
+        regions=tuple(map(folded, reach.regions)),
+    )
 
 
 def _start(initial: Initial | None, parts: UnfoldedProblem) -> Solution | None:

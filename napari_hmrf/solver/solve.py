@@ -319,7 +319,7 @@ def _solve_all(
         return _solve_connected(problem, prior, optimizer, backend, progress, initial)
 
     def solve_parts(
-        parts: Problem, of_parts: ElasticPrior, schedule: Optimizer, begin: Initial | None
+        parts: Problem, of_parts: Elastic, schedule: Optimizer, begin: Initial | None
     ) -> Solution:
         return _solve_connected(parts, of_parts, schedule, backend, progress, begin)
 
@@ -364,7 +364,7 @@ def _solution_of(
 ) -> Solution:
     """Prepare the backend, run the schedule, and record the run."""
     begun = time.perf_counter()
-    check_memory(problem)
+    check_memory(problem, prior)
     given = prior or ElasticPrior()
     joined = connected(problem, given)
     whole, problem = problem, joined.problem

@@ -16,9 +16,9 @@ from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.field.neighbours import around_sites, in_elements, of_corners
 from napari_hmrf.solver.coupling import Box, Coupling, Index
-from napari_hmrf.solver.interface_normals import interface_normals
+from napari_hmrf.solver.interface_normals import interface_surface
 from napari_hmrf.solver.loads import Loads
-from napari_hmrf.solver.priors.elastic import ElasticPrior
+from napari_hmrf.solver.priors import Elastic
 from napari_hmrf.solver.priors.elements import stiffest
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.uncertain_landmarks import ROUNDING, Landmarks, corners_of
@@ -65,14 +65,14 @@ class _Part(NamedTuple):
     copies: Mask
 
 
-def unfolded(problem: Problem, prior: ElasticPrior) -> tuple[UnfoldedProblem, ElasticPrior]:
+def unfolded(problem: Problem, prior: Elastic) -> tuple[UnfoldedProblem, Elastic]:
     """Return the unfolded problem of sliding parts, and the prior for its grid.
 
     Parameters
     ----------
     problem : Problem
         Problem with `SlidingParts`.
-    prior : ElasticPrior
+    prior : ElasticPrior or NeoHookeanPrior
     """
     m = problem.stiffness
     _, numbers, parts, between = _layout.get(
@@ -269,29 +269,32 @@ def _coupling(
         near = scipy.ndimage.maximum_filter(np.where(part.own, m[box.image], 0), 3)
         both = mine | (copied == part.number)
         soft[both] = np.minimum(soft[both], near[tuple((sites[both] - start).T)])
-    normals = np.zeros((len(sites), axes))
+    normals, distances = np.zeros((len(sites), axes)), np.zeros(len(sites))
     low, high = np.minimum(owner, copied), np.maximum(owner, copied)
     for one, two in np.unique(np.stack([low, high], axis=1), axis=0):
         compute_thread.check_cancelled()
         mine = (low == one) & (high == two)
-        normals[mine] = _normals(numbers, int(one), int(two), sites[mine], problem.spacing)
+        normals[mine], distances[mine] = _surface(
+            numbers, int(one), int(two), sites[mine], problem.spacing
+        )
     assert problem.sliding is not None
     soft = np.minimum(soft, stiffest(m))  # also between two rigid bodies
     strength = problem.sliding.strength * soft * problem.unit ** (axes - 2)
-    return Coupling(first, np.concatenate(second), normals, strength, m, boxes, own)
+    distances /= problem.unit
+    return Coupling(first, np.concatenate(second), normals, distances, strength, m, boxes, own)
 
 
-def _normals(
+def _surface(
     numbers: npt.NDArray[np.intp],
     one: int,
     two: int,
     sites: npt.NDArray[np.intp],
     spacing: tuple[float, ...],
-) -> npt.NDArray[np.float64]:
-    """Return the normals of the interface between two parts, from a box around its sites."""
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return the interface between two parts (`interface_surface`), from a box around its sites."""
     size = np.asarray(spacing) / max(spacing)
     margin = np.ceil(_MARGIN / size).astype(int)
     low = np.maximum(sites.min(axis=0) - margin, 0)
     high = np.minimum(sites.max(axis=0) + margin + 1, numbers.shape)
     near = numbers[tuple(itertools.starmap(slice, zip(low, high, strict=True)))]
-    return interface_normals(near == one, near == two, sites - low, spacing)
+    return interface_surface(near == one, near == two, sites - low, spacing)

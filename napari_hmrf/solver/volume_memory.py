@@ -11,6 +11,7 @@ import psutil
 from napari_hmrf.compute.workspace import clear_large
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.real_arrays import grid_in_words
+from napari_hmrf.solver.priors import NeoHookeanPrior, Prior
 from napari_hmrf.solver.problem import Problem
 
 if sys.platform != "win32":
@@ -24,6 +25,9 @@ IN_DOUBLE = 256
 LOADED = 48
 #: Additional bytes per voxel for the responses to a drift, and while they are computed.
 DRIFTING = 224
+#: Additional bytes per voxel of the unfolded grid for parts that slide in large motion; measured as
+#: 1,200 to 2,500 for balls of a third of the volume.
+SLIDING_FAR = 2500
 #: Bytes per voxel of a study from its image to its result: the interpretation of its tissue and
 #: boundary conditions, the problem and the solve, for a volume full of tissue; measured as 183.
 STUDY = 190
@@ -38,18 +42,29 @@ _GIB = 2.0**30
 _EVERY = {2: "second", 3: "third"}
 
 
-def check_memory(problem: Problem) -> None:
+def check_memory(problem: Problem, prior: Prior | None = None) -> None:
     """Raise an error if the solve of a volume does not fit into memory.
+
+    Parameters
+    ----------
+    problem : Problem
+    prior : Prior, optional
 
     Raises
     ------
     ProblemError
         If the memory is not sufficient; the message gives the largest possible size and a remedy.
     """
-    bytes_per_voxel = ORDINARY if problem.loads is None else ORDINARY + LOADED
+    bytes_per_voxel: float = ORDINARY if problem.loads is None else ORDINARY + LOADED
     if problem.landmarks is not None and problem.landmarks.drift:
         bytes_per_voxel = ORDINARY + LOADED + DRIFTING
-    _require("stiffness", problem.shape, bytes_per_voxel, _available)
+    shape = problem.shape
+    if problem.coupling is not None:
+        if isinstance(prior, NeoHookeanPrior):
+            bytes_per_voxel += SLIDING_FAR
+        shape = problem.coupling.stiffness.shape
+    bytes_per_voxel *= math.prod(problem.shape) / math.prod(shape)
+    _require("stiffness", shape, bytes_per_voxel, _available)
 
 
 def require_memory(shape: tuple[int, ...], bytes_per_voxel: float, name: str = "image") -> None:

@@ -96,6 +96,13 @@ def _sliding_tissue(content: _Content) -> _Found | None:
     return _Found(("tissue", "image"), f"has tissue that slides along other tissue ({names})")
 
 
+def _sliding_with_rigid_tissue(content: _Content) -> _Found | None:
+    slides, rigid = _sliding_tissue(content), _rigid_tissue(content)
+    if slides is None or rigid is None:
+        return None
+    return _Found(slides.parts, f"{rigid.clause} beside tissue that slides along other tissue")
+
+
 def _loads(content: _Content) -> _Found | None:
     loaded = content.study.loaded_parts
     if not loaded:
@@ -133,11 +140,13 @@ def _measured_motion(content: _Content) -> _Found | None:
 
 
 # The cliques of the paper have no stress that could balance a load, and no unit that data could be
-# compared with. The direction of a sliding surface is that at rest, which large motion turns. A
-# drift costs no energy at small strain only.
+# compared with. The direction of a sliding surface is that at rest, which large motion turns. The
+# contact of sliding tissue in large motion follows neither rigid bodies nor observations that slip.
+# A drift costs no energy at small strain only.
 _INPUTS = (
     _Input(_sliding_surface, _LINEAR, "remove the sliding surface"),
-    _Input(_sliding_tissue, _LINEAR, "let no tissue slide (`slides=False`)"),
+    _Input(_sliding_tissue, ELASTIC, "let no tissue slide (`slides=False`)", is_exact=True),
+    _Input(_sliding_with_rigid_tissue, _LINEAR, "let no tissue slide (`slides=False`)"),
     _Input(_loads, ELASTIC, "a boundary that moves or expands"),
     _Input(_rigid_tissue, ELASTIC, "use a finite stiffness", is_exact=True),
     _Input(_uncertain_landmarks, ELASTIC, "set ± to 0 (`sd=0`)"),

@@ -289,9 +289,16 @@ def test_parts_that_cannot_slide_are_refused_with_the_reason():
         SlidingParts([[1, 2], [3]])
     with pytest.raises(ProblemError, match=r"Pass SlidingParts\(labels\)"):
         problem(sliding=labels)
-    for prior in (SeilerPrior(), NeoHookeanPrior()):
-        with pytest.raises(ProblemError, match="is for ElasticPrior"):
-            solve(problem(), prior, backend="cpu")
+    with pytest.raises(ProblemError, match="is for ElasticPrior or NeoHookeanPrior"):
+        solve(problem(), SeilerPrior(), backend="cpu")
+    bone = np.where(labels == 1, np.inf, one)
+    for given, prior, why in (
+        (problem(m=bone), NeoHookeanPrior(), "rigid tissue in large motion"),
+        (problem(), NeoHookeanPrior(penalty=1.0), "observations that may slip in large motion"),
+        (problem(c=held / 2), NeoHookeanPrior(), "observations that may slip in large motion"),
+    ):
+        with pytest.raises(ProblemError, match=why):
+            solve(given, prior, backend="cpu")
     with pytest.raises(ProblemError, match="energy of one displacement is not available"):
         ElasticPrior().energy(problem(), rest)
 

@@ -57,6 +57,11 @@ INPUTS = {
     "sliding tissue": (
         study(PLAIN[0], replace(PLAIN[1], slides=True)),
         "tissue",
+        ELASTIC,
+    ),
+    "rigid tissue that slides": (
+        study(PLAIN[0], replace(PLAIN[1], slides=True, stiffness=np.inf)),
+        "tissue",
         ("elastic",),
     ),
     "growth": (study(PLAIN[0], replace(PLAIN[1], growth=0.1)), "tissue", ELASTIC),
@@ -97,8 +102,9 @@ def test_a_model_refuses_exactly_the_inputs_that_it_does_not_support(name):
                 build_problem(replace(given, prior=prior, optimizer=optimizer))
 
 
-def test_large_motion_of_rigid_tissue_needs_exact_constraints():
-    given = INPUTS["rigid tissue"][0]
+@pytest.mark.parametrize("name", ["rigid tissue", "sliding tissue"])
+def test_large_motion_of_rigid_or_sliding_tissue_needs_exact_constraints(name):
+    given = INPUTS[name][0]
     prior, optimizer = NeoHookeanPrior(penalty=0.1), given.optimizer
     assert unsupported(given, (prior, optimizer)).field == "tissue"
     assert unsupported(given, (replace(prior, penalty=np.inf), optimizer)) is None

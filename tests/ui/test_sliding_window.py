@@ -63,12 +63,12 @@ def test_a_lung_that_slides_follows_a_drag(frame, dock, wait_for):
 def test_other_models_name_the_tissue_that_slides(dock, wait_for):
     dock.drawing = Drawing((Arrow((24, 24), (3, 0), 4),))
     Screen(dock).cell("lung", "slides").choose("yes")
-    dock.model = "large motion"
+    dock.model = "paper"
     wait_for(lambda: not dock.busy)
     assert "'Organs' has tissue that slides along other tissue ('lung')" in dock.status
 
 
-def test_folds_of_sliding_tissue_are_reported_without_the_offer_of_large_motion(dock, wait_for):
+def test_large_motion_of_sliding_tissue_is_offered_for_its_folds(dock, wait_for):
     offer = dock._form.footer.other
     dock.drawing = Drawing((Arrow((20, 24), (9, 0), 2), Arrow((30, 24), (-9, 0), 2)))
     wait_for(lambda: not dock.busy)
@@ -78,7 +78,12 @@ def test_folds_of_sliding_tissue_are_reported_without_the_offer_of_large_motion(
     wait_for(lambda: not dock.busy)
     assert dock.solution.parts is not None
     assert "the tissue folds" in dock.warning
-    assert offer.isHidden(), "large motion does not support sliding tissue"
+    assert not offer.isHidden()
+    dock.model = "large motion"
+    wait_for(lambda: not dock.busy)
+    assert dock.solution.parts is not None
+    assert dock.solution.reach.least_jacobian > 0
+    assert "the tissue folds" not in dock.warning
 
 
 def test_the_breath_of_the_sample_shows_neither_a_warning_nor_folds(frame, wait_for):

@@ -5,6 +5,7 @@ module              reference
 ==================  ================================================================================
 `elasticity`        linear elasticity in images and volumes, with elements by scikit-fem
 `large_motion`      neo-Hookean tissue in images and volumes, by Newton's method
+`large_sliding`     sliding parts in large motion, from the energy of their contact
 `posterior`         data, landmarks and drift, by sparse and dense algebra
 `paper`             cliques, energies and fields of Seiler et al., and their algorithm move by move
 `exact`             fields of images in 32 digits, with observations that slip, for `make trust`

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.solver.backends.direct.sparse_factors import Links
 from napari_hmrf.solver.backends.linear import Balance, HeldPlanes, Planes
 from napari_hmrf.solver.backends.rigid.bodies import BodySites
 from napari_hmrf.solver.backends.rigid.poses import Poses
@@ -98,6 +99,16 @@ class FiniteModel(Protocol):
     @property
     def springs(self) -> Planes | None:
         """Values added to the diagonal of the current linear model."""
+        ...
+
+    @property
+    def coupled(self) -> bool:
+        """True if the tissue has sliding parts, whose connections are `links`."""
+        ...
+
+    @property
+    def links(self) -> Links | None:
+        """Connections between sliding parts, which `tangents` lacks; None if there are none."""
         ...
 
     @property

@@ -22,9 +22,9 @@ _SMALL = 40
 def takes_coarse_start(problem: Problem) -> bool:
     """Return whether a solution on a coarser grid is a good initial field for a problem.
 
-    Rigid tissue, loads and data are not converted to coarser grids.
+    Rigid tissue, loads, data and sliding parts are not converted to coarser grids.
     """
-    has_more = problem.loads is not None or problem.has_data
+    has_more = problem.loads is not None or problem.has_data or problem.coupling is not None
     if has_more or problem.rigid.any() or min(problem.shape) <= _SMALL:
         return False
     return float(np.abs(problem.observed).max()) > _SHORT * problem.unit

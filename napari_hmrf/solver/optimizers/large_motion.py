@@ -281,13 +281,18 @@ def _returned(
 
 
 def _strategy(problem: Problem, material: FiniteMaterial) -> Strategy:
-    firmness, ratio = holding_strength(problem), contrast(material.m)
+    coupling = problem.coupling
+    firmness, m = holding_strength(problem), material.m
+    if coupling is not None:
+        m = coupling.stiffness  # copies are soft, but have no tissue of their own
+        firmness = 0.0 if coupling.nearly_free else firmness
+    ratio = contrast(m)
     strategy = Strategy(
         doubtful=not material.mild or material.rigid or firmness < _WEAK_GRIP,
         stiff=ratio > _HIGH_CONTRAST or firmness < _WEAK_GRIP,
         by_factors=(firmness < _LOOSE_GRIP or ratio > _EXTREME_CONTRAST)
-        and Factors.fit(problem.shape),
-        projects=problem.is_volume,
+        and Factors.fit(problem.shape, coupled=coupling is not None),
+        projects=problem.is_volume or coupling is not None,
     )
     return strategy if material.growth is None else strategy._replace(steps=_NEWTON_STEPS)
 

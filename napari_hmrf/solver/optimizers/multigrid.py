@@ -38,7 +38,7 @@ from napari_hmrf.solver.optimizers.loading import (
 )
 from napari_hmrf.solver.optimizers.refinement import Refinement
 from napari_hmrf.solver.optimizers.slip import Slip
-from napari_hmrf.solver.optimizers.work import Work
+from napari_hmrf.solver.optimizers.work import LINEAR_SOLVE, SLIDING_SOLVE, Work
 from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.rigid_modes import holding_strength
@@ -123,7 +123,8 @@ class Multigrid:
                 self.tolerance, self.max_iterations, problem, prior, backend, report, start
             )
         if isinstance(prior, NeoHookeanPrior):
-            work = Work(self.budget, problem.shape)
+            cost = LINEAR_SOLVE if problem.coupling is None else SLIDING_SOLVE
+            work = Work(self.budget, problem.shape, cost)
             return large_motion.converge(
                 self.tolerance, problem, prior, backend, report, start, work
             )

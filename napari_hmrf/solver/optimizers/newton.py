@@ -519,7 +519,7 @@ class Newton:
             rehearsal = model.rehearsed = held.copy(), doubt
         if rehearsal[1] <= BELIEVABLE:
             return True
-        self.by_factors = Factors.fit(model.shape)
+        self.by_factors = self._can_factorize
         return not self.by_factors
 
     def _step(
@@ -536,8 +536,10 @@ class Newton:
             # At a large stiffness contrast, apparent buckling may be a rounding error.
             sure = stiff == 1 or self._strategy.stiff
             sure = sure or not (self._buckles or self._strategy.projects)
+            # Terms of the contact are indefinite in most steps, but matter for the last ones.
+            sure = sure or (self.by_factors and self._model.coupled)
             affordable = self._work.allows_factorization or math.isinf(self.distance.estimate)
-            if linear is None and sure and affordable and Factors.fit(self._model.shape):
+            if linear is None and sure and affordable and self._can_factorize:
                 linear = self._solve(self._load(forces, gap))
             if linear is not None:
                 self._positive = stiff / _SHARE_GROWTH if stiff > _FIRST_SHARE else 0.0
@@ -545,6 +547,10 @@ class Newton:
                     np.add(linear.way, gap, out=linear.way)
                 return linear._replace(positive=stiff)
         return None
+
+    @property
+    def _can_factorize(self) -> bool:
+        return Factors.fit(self._model.shape, coupled=self._model.coupled)
 
     def _load(self, forces: Planes, gap: Planes | None) -> Planes:
         """Return the load of a Newton step that closes `gap`."""
@@ -629,8 +635,10 @@ class Newton:
         self._model.project(load)
         self._work.add_factorization()
         try:
-            tangents, springs = self._model.tangents, self._model.springs
-            factors = Factors(tangents, moves, factorizing(self._report), springs)
+            model = self._model
+            factors = Factors(
+                model.tangents, moves, factorizing(self._report), model.springs, model.links
+            )
             way = factors.solve(load)
         except Singular:
             return None

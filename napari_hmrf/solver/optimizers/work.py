@@ -8,6 +8,8 @@ import math
 
 #: Cost of a solve with linear elasticity.
 LINEAR_SOLVE = 2.2
+#: The same for parts that slide along each other.
+SLIDING_SOLVE = 9.0
 # Cost of a Newton step without its linear system.
 _STEP = 3.0
 # Cost of a factorization, per square root of the number of sites of an image, and per site of a
@@ -33,15 +35,19 @@ class Work:
         may take more, up to half a second in an image.
     shape : tuple of int
         Shape of the finest grid.
+    solve : float
+        Cost of a solve with linear elasticity, in cycles.
     """
 
-    def __init__(self, budget: float | None, shape: tuple[int, ...]) -> None:
+    def __init__(
+        self, budget: float | None, shape: tuple[int, ...], solve: float = LINEAR_SOLVE
+    ) -> None:
         sites = math.prod(shape)
         #: Largest amount of work.
         self.limit = math.inf
         if budget is not None:
             least = _LEAST_CYCLE_SITES[len(shape)] / (sites + _FIXED_COST_SITES)
-            self.limit = max(LINEAR_SOLVE * budget, least)
+            self.limit = max(solve * budget, least)
         #: Work so far.
         self.spent = 0.0
         # Cost of one cycle on this grid, and of one factorization, in cycles on the finest grid.

@@ -120,7 +120,14 @@ class NeoHookeanPrior:
         same = self.at_rest.material(problem)
         growth = None if problem.loads is None else problem.loads.growth
         return FiniteMaterial(
-            same.m, same.poisson, same.strain, same.shape, same.data, growth=growth
+            same.m,
+            same.poisson,
+            same.strain,
+            same.shape,
+            same.data,
+            same.coupling,
+            same.unit,
+            growth=growth,
         )
 
     def limit(self, problem: Problem) -> Float64Array | None:

@@ -243,6 +243,10 @@ class CpuBackend:
 
     def finite_model(self, material: FiniteMaterial) -> FiniteModel:
         """Return the large-motion model."""
+        if material.coupling is not None:
+            from napari_hmrf.solver.backends.cpu import finite_sliding_model  # heavy: numba
+
+            return finite_sliding_model.the_model(material)
         from napari_hmrf.solver.backends.cpu import finite_base  # heavy: numba
 
         if material.m.ndim == 3:

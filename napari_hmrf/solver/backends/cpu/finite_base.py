@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any, ClassVar
 
@@ -12,10 +13,12 @@ import numpy.typing as npt
 
 from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.solver.backends.cpu.transfer import PAD
+from napari_hmrf.solver.backends.direct.sparse_factors import Links
 from napari_hmrf.solver.backends.linear import Balance, HeldPlanes, Planes
 from napari_hmrf.solver.backends.rigid.bodies import Bodies, BodySites, bodies_of
 from napari_hmrf.solver.backends.rigid.poses import Poses
 from napari_hmrf.solver.coarse_levels import smoother_bounds
+from napari_hmrf.solver.data_term import DataTerm
 from napari_hmrf.solver.priors.finite_strain import FiniteMaterial
 
 # Typical and largest ratio of the spectrum of strained tissue to that of tissue at rest.
@@ -68,6 +71,8 @@ class CpuFiniteModelBase:
     springs: Planes | None = None
     rehearsed: tuple[HeldPlanes, float] | None = None
     bodies: Sequence[BodySites] = ()
+    #: True if the model has connections between sliding parts, `links`.
+    coupled: ClassVar[bool] = False
     #: Energy that no displacement changes.
     _stored = 0.0
     #: Moduli of the elements and constants of their shape, for the loops.
@@ -94,6 +99,17 @@ class CpuFiniteModelBase:
         self._set_material(material)
         if material.data is not None:
             self.levels[0].set_data(material.data)
+
+    def set_data(self, data: DataTerm) -> None:
+        """Replace the data term of the present material."""
+        assert self.material is not None
+        self.material = replace(self.material, data=data)
+        self.levels[0].set_data(data)
+
+    @property
+    def links(self) -> Links | None:
+        """Return None, because connected tissue has no connections between parts."""
+        return None
 
     def _set_material(self, material: FiniteMaterial) -> None:
         """Compute the moduli of the elements."""

@@ -51,19 +51,20 @@ _STAND_IN = 400.0
 Values = npt.NDArray[Any]
 
 
-class _Component:
+class Component:
     """Ordinary model of a part or of the image, with its cycle.
 
     Parameters
     ----------
+    model : CpuElasticModel, CpuVolumeModel or CpuFiniteModelBase
+        Model of the material.
     material : ElasticMaterial
     scale : float
         Stiffness unit of this model in units of the composed model.
     """
 
-    def __init__(self, material: ElasticMaterial, scale: float) -> None:
-        self.model = CpuElasticModel(material)
-        self.scale = scale
+    def __init__(self, model: Any, material: ElasticMaterial, scale: float) -> None:
+        self.model, self.scale = model, scale
         self.cycle = Cycle(self.model, smoothing_of(material))
         shape = (material.m.ndim, *(size + 4 for size in material.m.shape))
         self.given, self.result = (np.zeros(shape, np.float32) for _ in range(2))
@@ -77,11 +78,11 @@ class _Component:
         return inside(np.asarray(self.cycle.run(load)))
 
 
-class _PartModel(_Component):
+class PartComponent(Component):
     """Model of a part in its box of the unfolded grid."""
 
-    def __init__(self, material: ElasticMaterial, scale: float, box: Box) -> None:
-        super().__init__(material, scale)
+    def __init__(self, model: Any, material: ElasticMaterial, scale: float, box: Box) -> None:
+        super().__init__(model, material, scale)
         self.box = box
         #: 1 at the free components of the part, 0 elsewhere.
         self.free: Values = np.zeros((material.m.ndim, *material.m.shape), np.float32)
@@ -91,57 +92,34 @@ class _PartModel(_Component):
         return inside(values)[(slice(None), *self.box.unfolded)]
 
 
-class SlidingLevel(CpuLevel):
-    """Finest level of the composed model; its `finish` runs the cycles of all components."""
+class SlidingLevelBase(CpuLevel):
+    """Finest level of a composed model; its `finish` runs the cycles of all components."""
 
     finishes_cycle = True
 
-    def __init__(
-        self,
-        grid: tuple[int, ...],
-        parts: Sequence[_PartModel],
-        whole: _Component,
-        coupling: Coupling,
-        unit: float,
-    ) -> None:
+    def __init__(self, grid: tuple[int, ...], parts: Sequence[PartComponent]) -> None:
         super().__init__(grid, finest=True)
-        self._parts, self._whole = parts, whole
-        self._coupling = coupling
-        padded = tuple(size + 4 for size in grid)
-        places = []
-        for sites in (coupling.first, coupling.second):
-            index = np.unravel_index(sites, grid)
-            places.append(np.ravel_multi_index(tuple(at + 2 for at in index), padded))
-        self._first, self._second = places
-        self._normals = np.ascontiguousarray(coupling.normals.T)
-        self._strength = coupling.strength / unit
+        self._parts = parts
         self._image, self._sum = self.vector(), self.vector()
-
-    def hold(self, held: HeldPlanes) -> None:
-        """Set the prescribed components of all models."""
-        free = np.zeros(held.shape, np.bool_)
-        for part in self._parts:
-            part.model.hold(_bordered(part.view(held)))
-            moves = inside(part.model.moves)
-            part.free[...] = moves
-            part.view(free)[...] = moves
-        image = np.moveaxis(self._coupling.folded(np.moveaxis(inside(held), 0, -1)), -1, 0)
-        self._whole.model.hold(_bordered(image))
-        self.inverse[...] = free
 
     def clear(self) -> None:
         """Set all corrections to zero."""
         super().clear()
-        for component in (*self._parts, self._whole):
-            component.model.clear()
+        for part in self._parts:
+            part.model.clear()
 
     def couple(self, d: Values, out: Values, scale: float) -> None:
-        """Add ``scale`` times the forces between different fields to `out`, in place."""
-        flat, total = d.reshape(len(d), -1), out.reshape(len(out), -1)
-        for one, two in ((self._first, self._second), (self._second, self._first)):
-            along = (flat[:, one] * self._normals).sum(axis=0) * self._strength
-            for plane, normal in zip(total, self._normals, strict=True):
-                np.add.at(plane, two, (-scale * along * normal).astype(out.dtype))
+        """Add ``scale`` times the forces of the coupling that no part contains to `out`."""
+        raise NotImplementedError
+
+    def free_parts(self) -> None:
+        """Set the free components after those of all parts have changed."""
+        free = np.zeros(self.inverse.shape, np.bool_)
+        for part in self._parts:
+            moves = inside(part.model.moves)
+            part.free[...] = moves
+            part.view(free)[...] = moves
+        self.inverse[...] = free
 
     def apply(self, direction: Vector, image: Vector) -> float:
         """Compute ``image = A @ direction``; return ``direction . image``."""
@@ -179,6 +157,54 @@ class SlidingLevel(CpuLevel):
             inside(part.given)[...] = part.view(rest)
             view = part.view(self.correction)
             view += part.correction(steps, coarsest) * part.free
+
+    def _move_together(self, rest: Vector, steps: Steps, coarsest: Steps) -> None:
+        """Add a correction that moves the parts as if they were connected."""
+        raise NotImplementedError
+
+
+class SlidingLevel(SlidingLevelBase):
+    """Finest level of `SlidingModel`."""
+
+    def __init__(
+        self,
+        grid: tuple[int, ...],
+        parts: Sequence[PartComponent],
+        whole: Component,
+        coupling: Coupling,
+        unit: float,
+    ) -> None:
+        super().__init__(grid, parts)
+        self._coupling, self._whole = coupling, whole
+        padded = tuple(size + 4 for size in grid)
+        places = []
+        for sites in (coupling.first, coupling.second):
+            index = np.unravel_index(sites, grid)
+            places.append(np.ravel_multi_index(tuple(at + 2 for at in index), padded))
+        self._first, self._second = places
+        self._normals = np.ascontiguousarray(coupling.normals.T)
+        self._strength = coupling.strength / unit
+
+    def hold(self, held: HeldPlanes) -> None:
+        """Set the prescribed components of all models."""
+        for part in self._parts:
+            part.model.hold(bordered(part.view(held)))
+        image = self._coupling.folded(np.moveaxis(inside(held), 0, -1))
+        self._whole.model.hold(bordered(np.moveaxis(image, -1, 0)))
+        self.free_parts()
+
+    def couple(self, d: Values, out: Values, scale: float) -> None:
+        """Add ``scale`` times the forces between different fields to `out`, in place."""
+        flat, total = d.reshape(len(d), -1), out.reshape(len(out), -1)
+        for one, two in ((self._first, self._second), (self._second, self._first)):
+            along = (flat[:, one] * self._normals).sum(axis=0) * self._strength
+            for plane, normal in zip(total, self._normals, strict=True):
+                np.add.at(plane, two, (-scale * along * normal).astype(out.dtype))
+
+    def clear(self) -> None:
+        """Set all corrections to zero."""
+        super().clear()
+        self._whole.model.clear()
 
     def _move_together(self, rest: Vector, steps: Steps, coarsest: Steps) -> None:
         """Add the correction of the connected tissue to the fields of all parts."""
@@ -237,9 +263,9 @@ class SlidingModel(HostModel):
             m = _without_bodies(material.m[box.unfolded], coupling.own[box.unfolded], most)
             scale = stiffest(m) / most
             weights = data[(slice(None), *box.unfolded)] / scale
-            points = _points_of_part(material, box, scale)
+            points = points_of_part(material, box, scale)
             of_part = _material(material, m, material.poisson, box.unfolded, weights, points)
-            parts.append(_PartModel(of_part, scale, box))
+            parts.append(PartComponent(CpuElasticModel(of_part), of_part, scale, box))
         image = np.zeros((len(packed_axes(len(grid))), *coupling.stiffness.shape))
         if material.data is not None:
             own = np.moveaxis(inside(material.data.weights), 0, -1)
@@ -252,7 +278,7 @@ class SlidingModel(HostModel):
         scale = stiffest(m) / most
         points = _points_of_image(material, coupling, scale)
         connected = _material(material, m, nu, (), image / scale, points)
-        self._whole = _Component(connected, scale)
+        self._whole = Component(CpuElasticModel(connected), connected, scale)
         self._level = SlidingLevel(grid, parts, self._whole, coupling, material.unit)
         self.levels = (self._level,)
         self._rest = self._level.vector()
@@ -261,7 +287,7 @@ class SlidingModel(HostModel):
     @property
     def mild(self) -> bool:
         """True if the connected tissue is mild; the iteration watches for slow motions."""
-        return self._whole.model.mild
+        return bool(self._whole.model.mild)
 
     def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
         rest = self.pull(d)
@@ -312,7 +338,7 @@ def _without_bodies(m: Values, own: npt.NDArray[np.bool_], stiffest_of_all: floa
     return loops.only_read(np.where(rigid, np.float32(_STAND_IN * most), m))
 
 
-def _points_of_part(material: ElasticMaterial, box: Box, scale: float) -> PointTerm | None:
+def points_of_part(material: ElasticMaterial, box: Box, scale: float) -> PointTerm | None:
     """Return the landmarks of a part on the grid of its box."""
     points = None if material.data is None else material.data.points
     if points is None:
@@ -351,7 +377,7 @@ def _material(
     return ElasticMaterial(m, poisson, material.strain, material.shape, data)
 
 
-def _bordered(held: Values) -> HeldPlanes:
+def bordered(held: Values) -> HeldPlanes:
     """Return a mask with a border of False, two sites wide."""
     return np.pad(held, ((0, 0), *((2, 2),) * (held.ndim - 1)))
 
