@@ -29,8 +29,8 @@ class Ball:
     """Ball in tissue that fills the rest of the image, and their contact."""
 
     def __init__(self, axes, size):
-        self.axes, self.at = axes, places(size, axes)
-        inside = np.linalg.norm(self.at, axis=-1) < 0.3 * size
+        self.axes, self.at, self.radius = axes, places(size, axes), 0.3 * size
+        inside = np.linalg.norm(self.at, axis=-1) < self.radius
         problem = Problem(
             observed=0 * self.at,
             confidence=np.ones(self.at.shape),
@@ -128,6 +128,14 @@ def test_a_ball_may_turn_without_energy_but_may_not_enter_other_tissue(ball):
     assert energy <= 0.1 * ball.contact.energy(ball.planes(rest, turned + 1.0))
     for far in (3.0, 6.0):
         assert ball.contact.energy(ball.planes(rest, turned + far)) == np.inf
+
+
+@pytest.mark.parametrize(("gap", "energy"), [(1.0, pytest.approx(0.6, rel=0.1)), (2.0, np.inf)])
+def test_a_shrunken_disc_pulls_until_it_is_too_far_from_the_tissue_around_it(gap, energy):
+    disc = Ball(2, 24)
+    apart = disc.planes(np.zeros(disc.at.shape), -gap / disc.radius * disc.at)
+    total = disc.contact.energy(apart)
+    assert total / disc.coupling.strength.sum() == energy
 
 
 def test_a_layer_that_slides_beyond_the_end_of_another_loses_contact_smoothly():
