@@ -1,7 +1,7 @@
 """Which model supports which input of a study, and which analysis of a result.
 
-This is the only place that decides it: the Python API, the shell and the window ask here before
-they solve, offer or refuse anything.
+This is the only place that decides it for studies: the Python API, the shell and the window ask
+here before they solve, offer or refuse anything. The solver checks a `Problem` by itself.
 """
 
 from __future__ import annotations
