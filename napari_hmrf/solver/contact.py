@@ -197,9 +197,8 @@ class Contact:
         inside = tuple(index + 2 for index in np.unravel_index(self.sites, grid))
         self._planes = np.ravel_multi_index(inside, tuple(size + 4 for size in grid))
         low, high = np.minimum(first, self._second), np.maximum(first, self._second)
-        pairs, self._interface = np.unique(
-            np.stack([low, high], axis=1), axis=0, return_inverse=True
-        )
+        pairs, of_pair = np.unique(np.stack([low, high], axis=1), axis=0, return_inverse=True)
+        self._interface = of_pair.ravel()
         points = self._rest - coupling.distances[:, None] * coupling.normals
         self._side = max(sides)
         reach = _REACH * self._side, _DEPTH[self._axes] * self._side
@@ -233,8 +232,8 @@ class Contact:
         """Return the points Y, and masks of those that were not found.
 
         The first mask is that of points beyond the fields that are known, for which the last point
-        on the way to Y is returned. The second is that of points where a field is folded, as it
-        may be beyond a sharp corner of a part.
+        on the way to Y is returned. The second is that of points where the search did not end,
+        because a field is folded, as it may be beyond a sharp corner of a part.
 
         Parameters
         ----------
@@ -366,7 +365,7 @@ class Contact:
         return Matrix((values.ravel(), (np.repeat(pairs, axes), columns.ravel())), shape=shape)
 
     def tensors(self) -> Float64Array:
-        """Return packed tensors at each site of the unfolded grid that bound the energy.
+        """Return packed tensors at each site that bound the energy of each field alone.
 
         The second derivatives of the energy are these tensors plus what `add_image` applies.
         """

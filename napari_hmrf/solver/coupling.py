@@ -23,6 +23,10 @@ Float64Array = npt.NDArray[np.float64]
 Index = tuple[slice, ...]
 
 
+#: Attributes of a coupling that are arrays.
+_ARRAYS = "first", "second", "normals", "distances", "strength", "stiffness", "own"
+
+
 class Box(NamedTuple):
     """Box of a part: its index in the image, and its index in the unfolded grid."""
 
@@ -68,10 +72,8 @@ class Coupling:
         return self is other or (
             isinstance(other, Coupling)
             and self.nearly_free == other.nearly_free
-            and all(
-                np.array_equal(getattr(self, name), getattr(other, name))
-                for name in ("first", "second", "normals", "strength", "stiffness")
-            )
+            and self.boxes == other.boxes
+            and all(np.array_equal(getattr(self, name), getattr(other, name)) for name in _ARRAYS)
         )
 
     __hash__ = None  # type: ignore[assignment]

@@ -6,7 +6,8 @@ distances from the tangent planes (implicit moving least squares),
     level(y) = sum_i w_i g_i (y - p_i) . N_i / sum_i w_i g_i,
     w_i = (1 - q)^4 (4 q + 1),    g_i = exp(-|y - p_i|^2 / (2 width^2))
 
-where q is the distance from p_i along its tangent plane, relative to a reach; w_i = 0 for q >= 1.
+where q is the distance from p_i along its tangent plane, relative to a reach; w_i = 0 for q >= 1,
+and for points whose normal is opposite to that of the nearest point.
 Beyond the end of the interface, its presence decreases from 1 to 0: it is a smooth step of
 sum_i w_i, relative to the sum at a typical point of the interface. Level and presence have
 continuous second derivatives, except in the middle of a part of a few pixels, where the nearest

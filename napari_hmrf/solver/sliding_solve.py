@@ -13,7 +13,7 @@ import numpy.typing as npt
 import scipy
 
 from napari_hmrf.compute.workspace import Kept
-from napari_hmrf.errors import ConvergenceError, ProblemError
+from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.neighbours import around_sites
 from napari_hmrf.solver.drift import has_drift
 from napari_hmrf.solver.elasticity import Elasticity
@@ -98,9 +98,7 @@ def solve_with_sliding(
     displacement = parts.coupling.folded(found.displacement)
     if nearly_free:
         change = math.inf
-        with suppress(
-            ProblemError, ConvergenceError
-        ):  # tilted normals may let the loads move a part very far
+        with suppress(ProblemError):  # tilted normals may let the loads move a part very far
             again = solve(_tilted(parts), of_parts, schedule, found)
             moved = parts.coupling.folded(again.displacement)
             change = float(np.abs(moved - displacement).max())
@@ -155,7 +153,7 @@ def _supported(problem: Problem, prior: Prior, optimizer: Optimizer) -> Elastic:
             raise ProblemError(
                 "sliding",
                 "cannot be combined with observations that may slip in large motion. Use "
-                "ElasticPrior, or a confidence of 1.",
+                "ElasticPrior, or a confidence of 1 and no penalty.",
             )
     return prior
 

@@ -89,8 +89,8 @@ class SmoothFields:
         ratio = sides.max() / sides
         beyond = (np.ceil(_BEYOND * ratio) + 1).astype(np.intp)
         margin = [(int(count), int(count)) for count in beyond]
-        outer = np.ones(2 * beyond + 1, np.bool_)
-        strip = np.ones(2 * np.ceil(_REACH[axes] * ratio).astype(np.intp) + 1, np.bool_)
+        outer = tuple(2 * beyond + 1)
+        strip = tuple(2 * np.ceil(_REACH[axes] * ratio).astype(np.intp) + 1)
         touching = np.zeros(grid, np.bool_)
         touching.ravel()[coupling.first] = touching.ravel()[coupling.second] = True
         every = np.arange(coupling.own.size).reshape(grid)
@@ -105,8 +105,8 @@ class SmoothFields:
         for number, box in enumerate(coupling.boxes):
             has = np.pad(sites_of_elements(m[box.unfolded]), margin)
             near = np.pad(touching[box.unfolded], margin)
-            near = scipy.ndimage.binary_dilation(near, strip)
-            near &= scipy.ndimage.binary_dilation(has, outer)
+            near = scipy.ndimage.maximum_filter(near, strip, mode="constant")
+            near &= scipy.ndimage.maximum_filter(has, outer, mode="constant")
             low = np.array([side.start for side in box.image]) - beyond
             is_site = (has & near)[near]
             at = np.argwhere(near)
@@ -139,7 +139,10 @@ class SmoothFields:
     def _around(
         self, at: Float64Array, part: Indices
     ) -> tuple[Indices, Float64Array, npt.NDArray[np.bool_]]:
-        """Return the nodes around positions, the distances from the middle one, and what exists."""
+        """Return the nodes around positions, the distances from the middle one, and what is known.
+
+        A node is -1 where the field is not known.
+        """
         there = at / self._sides - self._low[part]
         middle = np.rint(there).astype(np.intp)
         shape = self._shapes[part]
@@ -150,7 +153,7 @@ class SmoothFields:
             flat = flat * shape[:, axis, None] + around[..., axis]
         nodes = self._numbers[self._starts[part][:, None] + flat]
         known &= (nodes >= 0).all(axis=1)
-        return np.maximum(nodes, 0), np.where(known[:, None], there - middle, 0.0), known
+        return nodes, np.where(known[:, None], there - middle, 0.0), known
 
     def knows(self, at: Float64Array, part: Indices) -> npt.NDArray[np.bool_]:
         """Return whether the fields of given parts are known at positions in the image."""
@@ -159,7 +162,11 @@ class SmoothFields:
     def splines(self, at: Float64Array, part: Indices) -> Splines:
         """Return the splines at positions in the image, in the fields of given parts."""
         count, axes = at.shape
-        nodes, t, known = self._around(at, part)
+        nodes, t, _ = self._around(at, part)
+        # Deep inside a part, some nodes are beyond the strip that is known.
+        is_own = (nodes >= 0) & self._is_own[nodes]
+        inner = np.asarray(is_own.any(axis=1) & (is_own | (nodes < 0)).all(axis=1))
+        nodes = np.maximum(nodes, 0)
         # Values, slopes and curvatures of the shares along each axis: (n, 3, axes).
         single = [
             np.stack([(0.5 - t) ** 2 / 2, 0.75 - t**2, (0.5 + t) ** 2 / 2], axis=1),
@@ -183,7 +190,6 @@ class SmoothFields:
             ],
             axis=-1,
         )
-        inner = known & self._is_own[nodes].all(axis=1)
         return Splines(nodes, product((0,) * axes), slopes, curvatures, inner)
 
 

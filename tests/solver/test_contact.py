@@ -150,3 +150,20 @@ def test_a_layer_that_slides_beyond_the_end_of_another_loses_contact_smoothly():
     slope = np.gradient(found.presence, along)
     assert np.abs(slope - found.presence_slopes[:, 1]).max() <= 2e-3 * np.abs(slope).max()
     assert (np.diff(found.presence) <= 0).all()
+
+
+def test_layers_cannot_be_pushed_through_each_other_however_far():
+    rows = np.indices((60, 6))[0]
+    problem = Problem(
+        observed=np.zeros((60, 6, 2)),
+        confidence=np.ones((60, 6, 2)),
+        stiffness=np.ones((60, 6)),
+        sliding=SlidingParts((rows >= 30).astype(int)),
+    )
+    parts, _ = unfolded(problem, NeoHookeanPrior())
+    contact = Contact(parts.coupling, parts.stiffness, (1.0, 1.0), 1.0)
+    grid, upper = parts.coupling.own.shape, parts.coupling.boxes[0].unfolded
+    for far in (2, 8, 13, 20, 28):
+        d = np.zeros((2, *(size + 4 for size in grid)))
+        d[0, 2:-2, 2:-2][upper] = far
+        assert contact.energy(d) == np.inf

@@ -30,8 +30,9 @@ Float64Array = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
 Matrix: TypeAlias = scipy.sparse.csr_array
 
-#: Size of a coarse cell, in sites, and largest number of coarse nodes; cells are larger if needed.
-CELL, MOST_NODES = {2: 4.0, 3: 4.0}, {2: 20_000, 3: 3_000}
+#: Size of a coarse cell, in sites, and about the largest number of coarse nodes, for which cells
+#: are larger.
+_CELL, _MOST_NODES = 4.0, {2: 20_000, 3: 3_000}
 #: Factor on the diagonal of the tissue, after which it bounds the matrix of the tissue.
 _SAFE = 2.5
 #: Shares of the diagonal that are added, one after the other, until a matrix is positive.
@@ -144,8 +145,8 @@ def _continuous(positions: Float64Array, free: npt.NDArray[np.bool_]) -> Matrix:
     sites = np.flatnonzero(free.any(axis=-1))
     at = positions.reshape(axes, -1)[:, sites].T
     low, size = at.min(axis=0), np.ptp(at, axis=0)
-    nodes = math.prod(size / CELL[axes] + 1)
-    cell = CELL[axes] * max(1.0, (nodes / MOST_NODES[axes]) ** (1 / axes))
+    nodes = math.prod(size / _CELL + 1)
+    cell = _CELL * max(1.0, (nodes / _MOST_NODES[axes]) ** (1 / axes))
     grid = tuple(int(count) + 2 for count in size / cell)
     at = (at - low) / cell
     ends = np.array(list(np.ndindex(*(2,) * axes)))

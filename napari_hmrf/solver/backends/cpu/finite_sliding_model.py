@@ -61,8 +61,9 @@ class _Part(PartComponent):
         super().__init__(model, material, scale, box)
         assert material.data is not None
         self._data = material.data
-        #: Displacement of the linear model.
+        #: Displacement of the linear model, and a step.
         self.state: Planes = np.zeros(self.exact.shape)
+        self.way: Planes = np.zeros(self.exact.shape)
 
     def at(self, d: Planes) -> Planes:
         """Return the displacement of this part; valid until the next call."""
@@ -87,6 +88,12 @@ class FiniteSlidingLevel(SlidingLevelBase):
 
     def set_data(self, data: DataTerm) -> None:
         """Ignore the call, because each part has the data of its sites."""
+
+    def free_parts(self) -> None:
+        """Set the free components, where `inverse` is that of the diagonal of each part."""
+        super().free_parts()
+        for part in self._parts:
+            part.view(self.inverse)[...] = inside(part.model.levels[0].inverse) / part.scale
 
     def _move_together(self, rest: Vector, steps: Steps, coarsest: Steps) -> None:
         """Add the corrections of parts that touch."""
@@ -178,7 +185,7 @@ class CpuFiniteSlidingModel(CpuFiniteModelBase):
             compute_thread.check_cancelled()
             np.copyto(part.state, part.at(d))
             part.add_contact(tensors)
-            part.model.linearise(part.state, bordered(part.view(held)), part.exact, positive)
+            part.model.linearise(part.state, bordered(part.view(held)), part.way, positive)
         level = self.levels[0]
         level.free_parts()
         if self._corrected is not None:
@@ -196,12 +203,12 @@ class CpuFiniteSlidingModel(CpuFiniteModelBase):
         """Return the largest step along `way` with valid Jacobians; see `FiniteModel`."""
         least = math.inf
         lengths = np.full(tuple(size - 1 for size in self.shape), np.inf) if each else np.zeros(0)
-        for model in self._of_parts:
-            inside(model.state)[...] = model.view(way)
-            length, own = model.model.length(model.at(d), model.state, part, floor, each)
+        for one in self._of_parts:
+            inside(one.way)[...] = one.view(way)
+            length, own = one.model.length(one.at(d), one.way, part, floor, each)
             least = min(least, length)
             if each:
-                lengths[_between(model.box.unfolded)] = own
+                lengths[_between(one.box.unfolded)] = own
         return least, lengths
 
     @property
