@@ -93,14 +93,37 @@ class _Potential(NamedTuple):
         return cls(values, slopes, seconds, presence, normals, ends)
 
 
+class _Touch(NamedTuple):
+    """Points Y at a displacement of the sites, and the energies there.
+
+    Attributes
+    ----------
+    moved : ndarray, shape (s, axes)
+        Displacement of the sites.
+    spline, gradients, of_nodes : Splines, ndarray, ndarray
+        Splines at Y, F, and the displacements of the nodes of the splines.
+    potential : _Potential
+    touches : ndarray of bool, shape (n,)
+        False for a site that touches nothing.
+    energies : ndarray, shape (n,)
+        h of each site; infinite if parts overlap or separate too far.
+    """
+
+    moved: Float64Array
+    spline: Splines
+    gradients: Float64Array
+    of_nodes: Float64Array
+    potential: _Potential
+    touches: npt.NDArray[np.bool_]
+    energies: Float64Array
+
+
 class _State(NamedTuple):
     """Contact at a displacement of its sites; all derivatives are per strength.
 
     Attributes
     ----------
     moved : ndarray, shape (s, axes)
-    energies : ndarray, shape (n,)
-        h of each site; infinite if parts overlap or separate too far.
     forces : ndarray, shape (n, axes)
         f of each site.
     seconds : ndarray, shape (n, axes, axes)
@@ -117,7 +140,6 @@ class _State(NamedTuple):
     """
 
     moved: Float64Array
-    energies: Float64Array
     forces: Float64Array
     seconds: Float64Array
     normals: Float64Array
@@ -207,6 +229,7 @@ class Contact:
             Interface(points[some], coupling.normals[some], *reach) for some in members
         ]
         self._levels = self._levels_at(self._rest).values
+        self._last: _Touch | None = None
         self._state: _State | None = None
         self._linear: _Linear
 
@@ -219,11 +242,18 @@ class Contact:
                 total[some] = each
         return found
 
+    def _touch(self, d: npt.NDArray[np.floating]) -> _Touch:
+        """Return the points Y at a displacement, given as planes."""
+        moved = d.reshape(self._axes, -1)[:, self._planes].T.astype(np.float64)
+        if self._last is None or not np.array_equal(self._last.moved, moved):
+            self._last = self._touch_at(moved)
+        return self._last
+
     def _at(self, d: npt.NDArray[np.floating]) -> _State:
         """Return the contact at a displacement, given as planes."""
-        moved = d.reshape(self._axes, -1)[:, self._planes].T.astype(np.float64)
-        if self._state is None or not np.array_equal(self._state.moved, moved):
-            self._state = self._state_at(moved)
+        touch = self._touch(d)
+        if self._state is None or not np.array_equal(self._state.moved, touch.moved):
+            self._state = self._state_of(touch)
         return self._state
 
     def _touched(
@@ -272,17 +302,22 @@ class Contact:
         gradient = np.eye(self._axes) + np.einsum("ncb,nca->nab", spline.slopes, of_nodes)
         return spline, gradient, of_nodes
 
-    def _state_at(self, moved: Float64Array) -> _State:
+    def _touch_at(self, moved: Float64Array) -> _Touch:
         nodes = self._fields.nodes @ moved
         at, is_lost, is_folded = self._touched(nodes, moved)
-        spline, gradient, of_nodes = self._deformation(at, self._second, nodes)
+        spline, gradients, of_nodes = self._deformation(at, self._second, nodes)
         h = _Potential.of(self._levels_at(at), self._levels, self._side)
-        is_folded |= np.linalg.det(gradient) < _FLAT
+        is_folded |= np.linalg.det(gradients) < _FLAT
         touches = (h.presence > 0) & ~is_folded
         # Parts that separate too far, and a point in the tissue of the other part, far from its
         # interface, where the parts overlap.
         is_wrong = np.where(touches, is_lost, spline.inner)
-        inverse = np.asarray(np.linalg.inv(_regular(gradient)), np.float64)
+        energies = np.where(is_wrong, math.inf, np.where(touches, h.values, 0.0))
+        return _Touch(moved, spline, gradients, of_nodes, h, touches, energies)
+
+    def _state_of(self, touch: _Touch) -> _State:
+        moved, spline, gradients, of_nodes, h, touches, _ = touch
+        inverse = np.asarray(np.linalg.inv(_regular(gradients)), np.float64)
         across = inverse.swapaxes(1, 2)
         forces = np.einsum("nab,nb->na", across, h.slopes)
         bends = np.einsum("ncjk,nci,ni->njk", spline.curvatures, of_nodes, forces)
@@ -297,7 +332,6 @@ class Contact:
 
         return _State(
             moved,
-            np.where(is_wrong, math.inf, np.where(touches, h.values, 0.0)),
             forces,
             across @ (h.seconds - bends) @ inverse,
             normals,
@@ -310,7 +344,7 @@ class Contact:
 
     def energy(self, d: npt.NDArray[np.floating]) -> float:
         """Return the energy at a displacement, given as planes; infinite if parts lose contact."""
-        return float((self._strength * self._at(d).energies).sum())
+        return float((self._strength * self._touch(d).energies).sum())
 
     def add_forces(self, d: npt.NDArray[np.floating], out: npt.NDArray[np.floating]) -> None:
         """Add the gradient of the energy at a displacement to planes, in place."""
