@@ -153,8 +153,10 @@ class SecondDerivatives:
 
     def matrices(self, box: tuple[slice, ...]) -> npt.NDArray[np.float64]:
         """Return the second derivatives of the elements in a box, shape (d, h, w, 24, 24)."""
-        first = np.array([side.start for side in box])
-        inner = tuple(slice(side.start + PAD, side.stop + PAD) for side in box)
+        sizes = (size - 2 * PAD - 1 for size in self._d.shape[1:])
+        ranges = [side.indices(size) for side, size in zip(box, sizes, strict=True)]
+        first = np.array([start for start, _, _ in ranges])
+        inner = tuple(slice(start + PAD, stop + PAD) for start, stop, _ in ranges)
         shear = self._solid[0][inner]
         elements = np.ascontiguousarray(np.argwhere(shear > 0) + first + PAD)
         each = np.zeros((len(elements), 24, 24))
