@@ -479,16 +479,24 @@ def judge_large_data(_: int, number: int, backend: str = "cpu") -> Iterator[Verd
     except HmrfError as refusal:
         yield Verdict("refused", kinds, note=str(refusal))
         return
-    seconds, reach = since(begun).wall, found.reach
-    assert reach is not None
-    if reach.where is not None or reach.unbalanced_at is not None:
-        yield Verdict("unreached, as reported", kinds, seconds=seconds, note=str(reach))
+    seconds = since(begun).wall
+    if (verdict := _unreached(found, kinds, seconds)) is not None:
+        yield verdict
         return
     if problem.is_volume and _smallest_elastic_jacobian(case, found) < BARRIER_BEGIN:
         yield Verdict("not compared", kinds, seconds=seconds)
         return
     verdict = _beside(found, problem, _settled(case, found) / problem.unit, kinds)
     yield replace(verdict, seconds=seconds)
+
+
+def _unreached(found: Solution, kinds: dict[str, str], seconds: float) -> Verdict | None:
+    """Return the verdict on large motion that says that it is not in equilibrium, or None."""
+    reach = found.reach
+    assert reach is not None
+    if reach.where is None and reach.unbalanced_at is None:
+        return None
+    return Verdict("unreached, as reported", kinds, seconds=seconds, note=str(reach))
 
 
 def judge_large_sliding(_: int, number: int, backend: str = "cpu") -> Iterator[Verdict]:
@@ -510,12 +518,12 @@ def judge_large_sliding(_: int, number: int, backend: str = "cpu") -> Iterator[V
     except HmrfError as refusal:
         yield Verdict("refused", kinds, note=str(refusal))
         return
-    seconds, reach = since(begun).wall, found.reach
-    assert reach is not None
-    if reach.where is not None or reach.unbalanced_at is not None:
-        yield Verdict("unreached, as reported", kinds, seconds=seconds, note=str(reach))
+    seconds = since(begun).wall
+    if (verdict := _unreached(found, kinds, seconds)) is not None:
+        yield verdict
         return
-    if problem.is_volume and reach.least_jacobian < BARRIER_BEGIN:
+    assert found.reach is not None
+    if problem.is_volume and found.reach.least_jacobian < BARRIER_BEGIN:
         yield Verdict("not compared", kinds, seconds=seconds)
         return
     try:

@@ -1051,9 +1051,7 @@ def random_large_parts(number: int) -> LargeMotion:
         points = at + dice.random((4, axes))
         targets = points + 0.3 * dice.normal(size=points.shape)
         marks = Landmarks(points, targets, sd=min(spacing), scale=StrainScale(0.1))
-    prior = NeoHookeanPrior(
-        float(dice.choice([0.0, 0.3, 0.45])), plane="stress" if dice.random() < 0.5 else "strain"
-    )
+    prior = _large_prior(dice)
     problem = Problem(
         observed=y,
         confidence=c,
@@ -1065,6 +1063,12 @@ def random_large_parts(number: int) -> LargeMotion:
         sliding=SlidingParts(labels, strength=float(10 ** dice.uniform(1, 3))),
     )
     return LargeMotion(problem, prior, kind)
+
+
+def _large_prior(dice: Dice) -> NeoHookeanPrior:
+    """Return large motion with a random Poisson's ratio, in plane stress or strain."""
+    ratio = float(dice.choice([0.0, 0.3, 0.45]))
+    return NeoHookeanPrior(ratio, plane="stress" if dice.random() < 0.5 else "strain")
 
 
 def random_large_data(number: int) -> LargeMotion:
@@ -1113,9 +1117,7 @@ def random_large_data(number: int) -> LargeMotion:
         targets = points + interpolated(motion, points) + 0.03 * dice.normal(size=points.shape)
         scale = StrainScale(0.1, extent=float(np.mean(spacing) * min(shape) / 2))
         marks = Landmarks(points, targets, sd=min(spacing) * 10 ** dice.uniform(-2, 1), scale=scale)
-    prior = NeoHookeanPrior(
-        float(dice.choice([0.0, 0.3, 0.45])), plane="stress" if dice.random() < 0.5 else "strain"
-    )
+    prior = _large_prior(dice)
     problem = Problem(
         observed=y,
         confidence=c,

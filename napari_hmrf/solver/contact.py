@@ -193,11 +193,6 @@ class Contact:
         Size of a pixel along each axis, in the solver's unit of length.
     unit : float
         Precision of 1 in the units of the model.
-
-    Attributes
-    ----------
-    sites : ndarray of int, shape (s,)
-        Indices, in the flattened unfolded grid, of all sites that may be in contact.
     """
 
     def __init__(
@@ -210,13 +205,14 @@ class Contact:
         grid = coupling.own.shape
         self._axes, self._grid = len(grid), grid
         self._fields = SmoothFields(coupling, m, np.array(sides))
-        self.sites = self._fields.sites
+        #: Indices, in the flattened unfolded grid, of all sites that may be in contact.
+        self._sites = self._fields.sites
         self._first = self._fields.place[coupling.first]
         self._rest = self._fields.positions[self._first]
         self._strength = coupling.strength / unit
         first = self._fields.part[self._first]
         self._second = self._fields.part[self._fields.place[coupling.second]]
-        inside = tuple(index + 2 for index in np.unravel_index(self.sites, grid))
+        inside = tuple(index + 2 for index in np.unravel_index(self._sites, grid))
         self._planes = np.ravel_multi_index(inside, tuple(size + 4 for size in grid))
         low, high = np.minimum(first, self._second), np.maximum(first, self._second)
         pairs, of_pair = np.unique(np.stack([low, high], axis=1), axis=0, return_inverse=True)
@@ -394,7 +390,7 @@ class Contact:
         found, axes = relative.tocoo(), self._axes
         pairs, sites = found.coords
         values = found.data[:, None] * ways[pairs]
-        columns = self.sites[sites][:, None] * axes + np.arange(axes)
+        columns = self._sites[sites][:, None] * axes + np.arange(axes)
         shape = len(ways), math.prod(self._grid) * axes
         return Matrix((values.ravel(), (np.repeat(pairs, axes), columns.ravel())), shape=shape)
 
@@ -404,7 +400,7 @@ class Contact:
         The second derivatives of the energy are these tensors plus what `add_image` applies.
         """
         made = np.zeros((len(self._linear.tensors), math.prod(self._grid)))
-        made[:, self.sites] = self._linear.tensors
+        made[:, self._sites] = self._linear.tensors
         return made.reshape(-1, *self._grid)
 
     def add_image(
@@ -453,8 +449,8 @@ class Contact:
 
     def _on_grid(self, matrix: Any) -> Matrix:
         """Return a matrix of the components of the sites with those of the unfolded grid."""
-        found, size = scipy.sparse.coo_array(matrix), len(self.sites)
-        rows, columns = (self.sites[at % size] * self._axes + at // size for at in found.coords)
+        found, size = scipy.sparse.coo_array(matrix), len(self._sites)
+        rows, columns = (self._sites[at % size] * self._axes + at // size for at in found.coords)
         total = math.prod(self._grid) * self._axes
         return Matrix((found.data, (rows, columns)), shape=(total, total))
 

@@ -54,13 +54,6 @@ _FRAMES = 3
 _TOGETHER = 1024
 
 
-def interface_normals(
-    first: Mask, second: Mask, sites: npt.NDArray[np.intp], spacing: Sequence[float]
-) -> Float64Array:
-    """Return the normals of `interface_surface`."""
-    return interface_surface(first, second, sites, spacing)[0]
-
-
 def interface_surface(
     first: Mask, second: Mask, sites: npt.NDArray[np.intp], spacing: Sequence[float]
 ) -> tuple[Float64Array, Float64Array]:

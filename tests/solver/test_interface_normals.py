@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from napari_hmrf.field.neighbours import around_sites, of_corners
-from napari_hmrf.solver.interface_normals import interface_normals
+from napari_hmrf.solver.interface_normals import interface_surface
 
 
 def ball(axes):
@@ -24,8 +24,8 @@ def test_normals_depend_neither_on_the_order_of_labels_nor_on_that_of_axes(shape
     one, spacing = shape(axes), (1.0, 0.5, 2.0)[:axes]
     both = of_corners(one, np.logical_or) & of_corners(~one, np.logical_or)
     sites = np.argwhere(around_sites(both, np.logical_or))
-    normals = interface_normals(one, ~one, sites, spacing)
-    swapped = interface_normals(~one, one, sites, spacing)
-    turned = interface_normals(one.T, ~one.T, sites[:, ::-1], spacing[::-1])[:, ::-1]
+    normals, _ = interface_surface(one, ~one, sites, spacing)
+    swapped, _ = interface_surface(~one, one, sites, spacing)
+    turned = interface_surface(one.T, ~one.T, sites[:, ::-1], spacing[::-1])[0][:, ::-1]
     for other in swapped, turned:
         assert np.abs((normals * other).sum(axis=1)) == pytest.approx(1, abs=1e-12)

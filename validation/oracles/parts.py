@@ -21,7 +21,7 @@ import scipy.sparse.linalg as spl
 
 from napari_hmrf import ElasticPrior, Problem
 from napari_hmrf.loads import Loads
-from napari_hmrf.solver.interface_normals import interface_normals
+from napari_hmrf.solver.interface_normals import interface_surface
 from napari_hmrf.solver.problem import variant_of
 from validation.oracles.elasticity import (
     at_corners,
@@ -344,7 +344,8 @@ def _gaps(
                 pairs.append((home * owner.size + flat, copied * owner.size + flat))
                 strengths.append(relative * soft * problem.unit ** (axes - 2))
         if at:
-            normals = interface_normals(owner == one, owner == two, np.array(at), problem.spacing)
+            at_sites = np.array(at)
+            normals, _ = interface_surface(owner == one, owner == two, at_sites, problem.spacing)
             normals = normals + math.radians(tilt) * dice.normal(size=normals.shape)
             ways.append(normals / np.linalg.norm(normals, axis=1, keepdims=True))
     shape = (len(pairs), in_elements.size * axes)

@@ -19,7 +19,7 @@ import scipy
 
 from benchmarks.clock import fastest, timed
 from napari_hmrf import ElasticPrior, Problem, Solution, solve
-from napari_hmrf.solver.interface_normals import interface_normals
+from napari_hmrf.solver.interface_normals import interface_surface
 from napari_hmrf.tissue import SlidingParts
 from validation.study import Options, Table, study
 
@@ -276,7 +276,7 @@ def normals(case: Case) -> list[str]:
     """Compare fitted normals and those of blurred labels with the true ones, in degrees."""
     sites = np.unique(np.round(case.points).astype(int), axis=0)
     true = case.normals[scipy.spatial.cKDTree(case.points).query(sites)[1]]
-    fitted = interface_normals(case.inner, ~case.inner, sites, (1.0, 1.0))
+    fitted, _ = interface_surface(case.inner, ~case.inner, sites, (1.0, 1.0))
     row = [case.name]
     for found in (fitted, _blurred(case, sites)):
         degrees = np.degrees(np.arccos(np.clip((found * true).sum(axis=1), -1, 1)))

@@ -54,6 +54,7 @@ class SymmetricFactors:
     def __init__(self, matrix: scipy.sparse.sparray, order: str = "NATURAL") -> None:
         _dropped.clear()
         self._thread = threading.get_ident()
+        self._factors: Any = None
         try:
             self._factors = scipy.sparse.linalg.splu(
                 scipy.sparse.csc_array(matrix),
