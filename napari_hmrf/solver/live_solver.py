@@ -9,7 +9,7 @@ from __future__ import annotations
 import logging
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple, TypeGuard
@@ -18,7 +18,7 @@ from napari_hmrf.arguments import real, refuse_unless
 from napari_hmrf.errors import Cancelled, HmrfError
 from napari_hmrf.solver.earlier_solutions import EarlierSolutions
 from napari_hmrf.solver.latest_queue import LatestQueue, Turn
-from napari_hmrf.solver.optimizers import Multigrid, Optimizer
+from napari_hmrf.solver.optimizers import Monitor, Multigrid, Optimizer
 from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
@@ -30,15 +30,12 @@ from napari_hmrf.solver.warm_start import nearest_to_targets
 TOLERANCE = 0.01
 #: Tolerance of a preview, in pixels.
 PREVIEW_TOLERANCE = 0.3
-# Budgets of the previews of large motion, in linear solves. The first is for large images only.
-_PREVIEW_BUDGETS = 12.0, 60.0, 300.0, 1500.0
+#: Time between two pictures of a solve of large motion, in seconds.
+PICTURE_INTERVAL = 0.5
 #: Expected time of the first solution, in seconds, above which a preview is shown.
 PATIENCE = 0.1
 # Time of a cold start per site on two cores, in seconds.
 _SITE_SECONDS = 2e-7
-# Number of sites of an image above which large motion may take more than a second.
-_LARGE_MOTION_SITES = 150_000
-
 # Smallest Jacobian determinant of a solution that is used as a warm start for large motion.
 _CRUSHED = 0.01
 
@@ -62,7 +59,8 @@ class Update:
         a solution.
     final : bool
         False for a preview, which is accurate to `PREVIEW_TOLERANCE`, or is as far as large motion
-        got within a part of its budget. The final solution follows unless there is a newer edit.
+        has come; one follows every `PICTURE_INTERVAL`. The final solution follows unless there is
+        a newer edit.
     seconds : float
         Time since the edit was submitted.
     is_earlier : bool
@@ -313,16 +311,14 @@ class LiveSolver:
             if known is not None and known.is_answer:
                 self._deliver_known(turn, known)
                 return
-            progress = None if self._progress is None else StagedProgress(self._progress)
+            report = self._progress
+            if edit.preview and isinstance(prior, NeoHookeanPrior):
+                report = self._with_pictures(report, problem, turn)
+            progress = None if report is None else StagedProgress(report)
             solved = partial(self._solve, problem, prior, edit.backend, progress, stop=turn)
-            optimizer = edit.optimizer
-            for stage in self._previews(problem, prior, optimizer) if edit.preview else ():
-                preview = solved(stage, is_preview=True)
-                if preview.reach is not None and not has_stopped(preview):
-                    break  # the budget of the preview was sufficient
-                self._deliver_update(turn, problem, preview, final=False)
-                turn.patience = 0
-            solution = solved(optimizer)
+            if edit.preview and self._takes_preview(problem, prior, edit.optimizer):
+                self._deliver_preview(turn, problem, solved(Multigrid(PREVIEW_TOLERANCE), True))
+            solution = solved(edit.optimizer)
             best = solution if known is None else nearest_to_targets(solution, known.solution)
             if known is not None and best is not solution:
                 self._deliver_known(turn, known._replace(solution=best))
@@ -335,22 +331,27 @@ class LiveSolver:
                 _log.exception("a live solve failed")
             self._deliver_update(turn, problem, error=error)
 
-    def _previews(
-        self, problem: Problem, prior: Prior, optimizer: Optimizer
-    ) -> Iterator[Multigrid]:
-        """Yield the optimizers of previews, each of which continues the one before."""
-        if not _has_preview(optimizer):
-            return
-        sites, is_cold = problem.stiffness.size, not self._earlier.solutions
-        if not isinstance(prior, NeoHookeanPrior):
-            # With a warm start, a preview costs nearly as much time as the solution.
-            if is_cold and sites * _SITE_SECONDS > PATIENCE:
-                yield Multigrid(PREVIEW_TOLERANCE)
-            return
-        takes_long = problem.is_volume or sites > _LARGE_MOTION_SITES
-        for budget in _PREVIEW_BUDGETS[0 if is_cold and takes_long else 1 :]:
-            if optimizer.budget is None or budget < optimizer.budget:
-                yield Multigrid(PREVIEW_TOLERANCE, budget=budget)
+    def _takes_preview(self, problem: Problem, prior: Prior, optimizer: Optimizer) -> bool:
+        """Return whether a preview is solved first, to its own tolerance."""
+        # With a warm start, a preview costs nearly as much time as the solution.
+        is_long = not self._earlier.solutions and problem.stiffness.size * _SITE_SECONDS > PATIENCE
+        return is_long and _has_preview(optimizer) and not isinstance(prior, NeoHookeanPrior)
+
+    def _with_pictures(self, report: Progress | None, problem: Problem, turn: Turn) -> Progress:
+        """Return a report that also delivers the field of large motion at intervals."""
+        shown = time.perf_counter()
+
+        def progress(monitor: Monitor) -> None:
+            nonlocal shown
+            if report is not None:
+                report(monitor)
+            if monitor.so_far is not None and time.perf_counter() - shown > PICTURE_INTERVAL:
+                preview = monitor.so_far()
+                self._earlier.add(problem, preview)
+                self._deliver_preview(turn, problem, preview)
+                shown = time.perf_counter()
+
+        return progress
 
     def _solve(
         self,
@@ -359,9 +360,9 @@ class LiveSolver:
         backend: str,
         progress: StagedProgress | None,
         optimizer: Optimizer,
+        is_preview: bool = False,
         *,
         stop: CancelFlag,
-        is_preview: bool = False,
     ) -> Solution:
         """Solve with a warm start and store the solution for the next solve."""
         if progress is not None:
@@ -379,6 +380,11 @@ class LiveSolver:
         )
         self._earlier.add(problem, solution)
         return solution
+
+    def _deliver_preview(self, turn: Turn, problem: Problem, preview: Solution) -> None:
+        """Deliver a preview, after which a newer edit cancels the solve."""
+        self._deliver_update(turn, problem, preview, final=False)
+        turn.patience = 0
 
     def _deliver_known(self, turn: Turn, known: Known) -> None:
         """Deliver an earlier solution, from which the next solve starts."""

@@ -27,8 +27,11 @@ from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.unfolded import UnfoldedProblem, unfolded
 from napari_hmrf.solver.warm_start import Initial
 
-#: Function that solves an unfolded problem with a prior, from a warm start.
-Solve = Callable[[Problem, Elastic, Optimizer, Initial | None], Solution]
+#: Function that converts a solution of an unfolded problem to one of the problem.
+Fold = Callable[[Solution], Solution]
+#: Function that solves an unfolded problem with a prior, from a warm start; it reports fields of
+#: the problem.
+Solve = Callable[[Problem, Elastic, Optimizer, Initial | None, Fold], Solution]
 
 #: Smallest part of a rigid motion at an interface that is along the normal; with less, the motion
 #: counts as free. The value is a square, and includes rounding errors.
@@ -81,8 +84,6 @@ def solve_with_sliding(
     ProblemError
         If the model does not support sliding parts, or a part can move freely.
     """
-    sliding = problem.sliding
-    assert sliding is not None
     given = ElasticPrior() if prior is None else prior
     schedule = Multigrid() if optimizer is None else optimizer
     elastic = _supported(problem, given, schedule)
@@ -93,32 +94,43 @@ def solve_with_sliding(
     nearly_free = least < _ALONG_NORMAL
     if nearly_free:
         parts = parts.with_coupling(replace(parts.coupling, nearly_free=True))
-    begin = _start(initial, parts)
-    found = solve(parts, of_parts, schedule, begin)
-    displacement = parts.coupling.folded(found.displacement)
+
+    def fold(found: Solution) -> Solution:
+        return _folded(found, problem, elastic, parts)
+
+    found = solve(parts, of_parts, schedule, _start(initial, parts), fold)
+    solution = fold(found)
+    displacement = solution.displacement
     if nearly_free:
         change = math.inf
         with suppress(ProblemError):  # tilted normals may let the loads move a part very far
-            again = solve(_tilted(parts), of_parts, schedule, found)
+            again = solve(_tilted(parts), of_parts, schedule, found, fold)
             moved = parts.coupling.folded(again.displacement)
             change = float(np.abs(moved - displacement).max())
         if change > _MOST_CHANGE * float(np.abs(displacement).max()):
             _refuse(parts, freest, _UNCERTAIN)
+    _solutions.value = solution, found
+    return solution
+
+
+def _folded(found: Solution, problem: Problem, prior: Elastic, parts: UnfoldedProblem) -> Solution:
+    """Return the solution of a problem that belongs to one of its unfolded problem."""
+    assert problem.sliding is not None
     # An energy is reported per site of tissue, and a copy is no site.
     share = np.count_nonzero(parts.tissue) / np.count_nonzero(problem.tissue)
     reach = found.reach
     grown = 1.0 if reach is None else reach.grown
-    loads, elasticity = problem.loads, Elasticity.of_problem(problem, elastic, grown)
-    if has_drift(problem, elastic):
+    loads, elasticity = problem.loads, Elasticity.of_problem(problem, prior, grown)
+    if has_drift(problem, prior):
         assert found.loads is not None
         assert found.loads.growth is not None
         growth = parts.coupling.folded(found.loads.growth)
         force = None if loads is None else loads.force
         loads = Loads(growth=growth, force=force, spacing=problem.spacing)
         elasticity = replace(elasticity, growth=loads.growth)
-    solution = replace(
+    return replace(
         found,
-        displacement=displacement,
+        displacement=parts.coupling.folded(found.displacement),
         energy=found.energy * share,
         levels=tuple(replace(level, shape=problem.shape) for level in found.levels),
         tissue=problem.tissue,
@@ -126,10 +138,8 @@ def solve_with_sliding(
         elasticity=elasticity,
         reach=None if reach is None else _folded_reach(reach, parts),
         provenance=replace(found.provenance, inputs=problem.digests),
-        parts=sliding.labels,
+        parts=problem.sliding.labels,
     )
-    _solutions.value = solution, found
-    return solution
 
 
 def _supported(problem: Problem, prior: Prior, optimizer: Optimizer) -> Elastic:

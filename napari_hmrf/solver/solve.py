@@ -194,8 +194,12 @@ def on_compute_thread(
     if compute_thread.is_current():
         return run(progress)
     reports: queue.SimpleQueue[Monitor | None] = queue.SimpleQueue()
+
+    def put(monitor: Monitor) -> None:
+        reports.put(replace(monitor, so_far=None))  # the work does not wait for the caller
+
     # Without `progress`, send no reports: each report wakes the caller, which slows the work.
-    send = None if progress is None else reports.put
+    send = None if progress is None else put
     job: Future[T] | None = None
     try:
         job = compute_thread.submit(lambda: run(send), lambda: STOPPED if is_stopped() else _DOING)
@@ -319,11 +323,27 @@ def _solve_all(
         return _solve_connected(problem, prior, optimizer, backend, progress, initial)
 
     def solve_parts(
-        parts: Problem, of_parts: Elastic, schedule: Optimizer, begin: Initial | None
+        parts: Problem,
+        of_parts: Elastic,
+        schedule: Optimizer,
+        begin: Initial | None,
+        fold: Callable[[Solution], Solution],
     ) -> Solution:
-        return _solve_connected(parts, of_parts, schedule, backend, progress, begin)
+        report = None if progress is None else _mapped(progress, fold)
+        return _solve_connected(parts, of_parts, schedule, backend, report, begin)
 
     return solve_with_sliding(problem, prior, optimizer, initial, solve_parts)
+
+
+def _mapped(progress: Progress, convert: Callable[[Any], Solution]) -> Progress:
+    """Return a report that converts what `Monitor.so_far` returns."""
+
+    def report(monitor: Monitor) -> None:
+        if (so_far := monitor.so_far) is not None:
+            monitor = replace(monitor, so_far=lambda: convert(so_far()))
+        progress(monitor)
+
+    return report
 
 
 def _solve_connected(
@@ -372,50 +392,56 @@ def _solution_of(
     optimizer = optimizer or (ICM() if isinstance(prior, SeilerPrior) else Multigrid())
     begin = combine_solutions(initial, problem) if initial else None
     started = time.perf_counter()
+    ready = started
+
+    def solution_of(outcome: Outcome) -> Solution:
+        done, device = time.perf_counter(), choice.backend
+        displacement = outcome.displacement
+        settle(displacement, joined, device.renderer, outcome.energy)
+        # The solution keeps this array itself, because warm starts recognize it.
+        displacement.setflags(write=False)
+        grown = 1.0 if outcome.reach is None else outcome.reach.grown
+        of_prior = dict(prior.parameters)
+        if problem.is_volume:
+            of_prior.pop("plane", None)  # a volume has no plane
+        energy = outcome.energy
+        if isinstance(prior, SeilerPrior) and (problem is not whole or any(joined.extension)):
+            # An energy is reported per site of all tissue, and the last one is that of the field.
+            energy = energy * (np.count_nonzero(problem.tissue) / np.count_nonzero(whole.tissue))
+            energy[-1] = prior.mean_energy(whole, displacement)
+        return Solution(
+            displacement=displacement,
+            energy=energy,
+            levels=outcome.levels,
+            convergence=outcome.convergence,
+            reach=outcome.reach,
+            tissue=whole.tissue,
+            spacing=problem.spacing,
+            provenance=Provenance(
+                backend=device.name,
+                renderer=device.renderer,
+                reason=choice.reason,
+                seconds=started - begun + done - ready,
+                preparation_seconds=ready - started,
+                parameters={
+                    "prior": of_prior,
+                    "optimizer": optimizer.parameters,
+                },
+                versions=_versions(),
+                inputs=whole.digests,
+            ),
+            loads=whole.loads,
+            elasticity=Elasticity.of_problem(whole, prior, grown)
+            if isinstance(prior, ElasticPrior | NeoHookeanPrior)
+            else None,
+            notes=(*filter(None, (rigid_caveat(whole, given),)), *joined.notes),
+        )
+
     with open_device(problem, prior, optimizer, backend, progress) as (choice, report):
         ready = time.perf_counter()
-        outcome = _run(optimizer, problem, prior, choice.backend, report, begin)
-    done, device = time.perf_counter(), choice.backend
-    displacement = outcome.displacement
-    settle(displacement, joined, device.renderer, outcome.energy)
-    # The solution keeps this array itself, because warm starts recognize it.
-    displacement.setflags(write=False)
-    grown = 1.0 if outcome.reach is None else outcome.reach.grown
-    of_prior = dict(prior.parameters)
-    if problem.is_volume:
-        of_prior.pop("plane", None)  # a volume has no plane
-    energy = outcome.energy
-    if isinstance(prior, SeilerPrior) and (problem is not whole or any(joined.extension)):
-        # An energy is reported per site of all tissue, and the last one is that of the field.
-        energy = energy * (np.count_nonzero(problem.tissue) / np.count_nonzero(whole.tissue))
-        energy[-1] = prior.mean_energy(whole, displacement)
-    solution = Solution(
-        displacement=displacement,
-        energy=energy,
-        levels=outcome.levels,
-        convergence=outcome.convergence,
-        reach=outcome.reach,
-        tissue=whole.tissue,
-        spacing=problem.spacing,
-        provenance=Provenance(
-            backend=device.name,
-            renderer=device.renderer,
-            reason=choice.reason,
-            seconds=started - begun + done - ready,
-            preparation_seconds=ready - started,
-            parameters={
-                "prior": of_prior,
-                "optimizer": optimizer.parameters,
-            },
-            versions=_versions(),
-            inputs=whole.digests,
-        ),
-        loads=whole.loads,
-        elasticity=Elasticity.of_problem(whole, prior, grown)
-        if isinstance(prior, ElasticPrior | NeoHookeanPrior)
-        else None,
-        notes=(*filter(None, (rigid_caveat(whole, given),)), *joined.notes),
-    )
+        reported = _mapped(report, solution_of)
+        outcome = _run(optimizer, problem, prior, choice.backend, reported, begin)
+    solution = solution_of(outcome)
     return solution if initial is None else nearest_to_targets(solution, initial)
 
 

@@ -141,6 +141,21 @@ class EditHistory:
             for part in before:
                 self._show(part, values[part])
 
+    def join(self, part: Hashable, value: Any) -> None:
+        """Set a value as part of the edit in progress, or of the last step.
+
+        Parameters
+        ----------
+        part : hashable
+            Part, which must have a value.
+        value : object
+            New value, which follows from the edit: undo restores the previous value with it.
+        """
+        step = self._begun or (self._past[-1] if self._past else None)
+        if step is not None:
+            step.values.setdefault(part, self._now[part])
+        self._show(part, value)
+
     def begin(self, part: Hashable, word: str) -> None:
         """Begin an edit with several updates, such as a drag, that is undone as one step.
 
@@ -177,9 +192,11 @@ class EditHistory:
         Step or None
             The new step; None if there is no edit or its value has not changed.
         """
-        begun, self._begun = self._begun, None
+        begun = self._begun
         if begun is None or begun.value == self._now[begun.part]:
+            self.cancel()
             return None
+        self._begun = None
         step = begun._replace(word=word or begun.word)
         self._keep(step)
         return step
@@ -187,8 +204,8 @@ class EditHistory:
     def cancel(self) -> None:
         """Cancel the edit in progress and restore the previous value, without adding a step."""
         begun, self._begun = self._begun, None
-        if begun is not None:
-            self._show(begun.part, begun.value)
+        for part, value in {} if begun is None else begun.values.items():
+            self._show(part, value)
 
     def undo(self) -> Step | None:
         """End any edit in progress, then undo one step.

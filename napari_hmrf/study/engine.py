@@ -92,6 +92,7 @@ class Engine:
         #: only.
         self.latest: Deformation | None = None
         self._request: Deformation | None = None
+        self._counts_folds = False
         # Ground for each grid, with the study from which the ground was computed.
         self._grounds: dict[CoarseGrid, tuple[Study, Ground]] = {}
         self._rendering: Rendering | None = None
@@ -122,6 +123,7 @@ class Engine:
         backend: str = "auto",
         cold_start: bool = False,
         preview: Preview | None = None,
+        counts_folds: bool = False,
     ) -> None:
         """Submit a study, which replaces any pending study.
 
@@ -137,13 +139,17 @@ class Engine:
             is farther from its targets.
         preview : Preview, optional
             Settings of a preview during a drag; the study is solved only on the coarse grid.
+        counts_folds : bool
+            True to count the folds of a solution on the full grid; see `Deformation`.
         """
         if cold_start:
             self.cancel()
         if not self.live.busy:
             self._reached = Monitor("reading the layers", 0.0)
         self.live.optimizer, self.live.backend = study.optimizer, backend
-        state = partial(self._state, study, cold_start, preview)
+        request = Deformation(study, settled=cold_start, preview=preview)
+        counts_folds = counts_folds and request.grid.step == 1
+        state = partial(self._state, request, counts_folds)
         patience = None if cold_start else patience_for(study, preview)
         # If the patience is 0, a preview would cost more time than it saves.
         self._generation = self.live.submit(state, preview=bool(patience), patience=patience)
@@ -182,10 +188,11 @@ class Engine:
         if result.solution is not None and result.preview is None:
             self._results.add(result.study, result.solution)
 
-    def _state(self, study: Study, cold_start: bool, preview: Preview | None) -> Input:
+    def _state(self, request: Deformation, counts_folds: bool) -> Input:
         """Build the problem of a study; recompute only the parts that have changed."""
-        self._request = Deformation(study, settled=cold_start, preview=preview)
-        grid = self._request.grid
+        self._request, self._counts_folds = request, counts_folds
+        study, cold_start, preview = request.study, request.settled, request.preview
+        grid = request.grid
         fine = self._ground_of(study, CoarseGrid())
         ground = fine if grid.step == 1 else self._ground_of(study, grid)
         self._request = replace(self._request, ground=fine)
@@ -233,6 +240,8 @@ class Engine:
         if update.final and error is None:
             self.report(DRAWING)
         if solution is not None or isinstance(error, _StillError):
+            if solution is not None and self._counts_folds:
+                request = replace(request, folds=solution.count_folds())
             answer = self._moved_by(solution, request)
             if answer.error is None:
                 self.latest = answer
@@ -335,6 +344,8 @@ class Deformation:
     is_earlier : bool
         True for an earlier result of the study, which is delivered again. If also `settled` is
         True, the budget ended the solve from a cold start.
+    folds : int
+        Number of sites at which tissue folds; 0 if they were not counted.
     generation : int
         Number of the submission, greater than the numbers of all earlier submissions.
     """
@@ -350,6 +361,7 @@ class Deformation:
     settled: bool = False
     preview: Preview | None = None
     is_earlier: bool = False
+    folds: int = 0
     generation: int = 0
 
     @property

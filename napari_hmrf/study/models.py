@@ -109,7 +109,7 @@ class SolverDetails:
         choices=[(f"{distance:g} px", distance) for distance in (1e-1, 1e-2, 1e-3, 1e-4)],
     )
     budget: float = _form_field(
-        Multigrid.budget,
+        0.0,
         "largest work",
         "Work after which a solve of large motion stops, in solves of linear elasticity.\n"
         "It then shows the best motion so far and what is missing; 'Continue' goes on.",
@@ -200,8 +200,10 @@ def details_of(prior: Prior, optimizer: Optimizer) -> SolverDetails:
             details, sweeps=optimizer.iterations, method=method, energy_change=change or 0.0
         )
     parameters = optimizer.parameters
-    budget = parameters.get("budget", Multigrid.budget)
-    return replace(details, accuracy=parameters["tolerance"], budget=budget or 0.0)
+    details = replace(details, accuracy=parameters["tolerance"])
+    if not isinstance(prior, NeoHookeanPrior):
+        return details
+    return replace(details, budget=parameters.get("budget", Multigrid.budget) or 0.0)
 
 
 def larger_budget(budget: float) -> float:

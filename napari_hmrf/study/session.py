@@ -178,6 +178,9 @@ class ModelChoice:
         Typical strain of the tissue, as in `Motion`.
     drift : bool
         True if an affine drift is estimated with uncertain landmarks, as in `Motion`.
+    unfolds : bool
+        True if large motion takes the place of the elastic model where tissue folds. False for a
+        model that the user, a script or a file has chosen.
     """
 
     name: ModelName = "elastic"
@@ -186,6 +189,7 @@ class ModelChoice:
     details: SolverDetails = field(default_factory=SolverDetails)
     strain: float = StrainScale.strain
     drift: bool = False
+    unfolds: bool = True
 
     @classmethod
     def of(cls, study: Study) -> ModelChoice:
@@ -200,6 +204,7 @@ class ModelChoice:
             details=details,
             strain=motion.typical_strain,
             drift=bool(motion.drift),
+            unfolds=False,
         )
         if isinstance(prior, Elastic):
             choice = replace(choice, plane=prior.plane)
@@ -447,6 +452,19 @@ class Session(EditHistory):
         """
         # Without an image, there would be no model for undo to restore.
         self._edit(self.model_part, choice, step and self.image is not None)
+
+    def unfold(self) -> None:
+        """Choose large motion as part of the edit that folds elastic tissue; see `ModelChoice`."""
+        self.setdefault(self.model_part, ModelChoice())
+        self.join(self.model_part, replace(self.model, name="large motion"))
+
+    def take_back_unfolding(self) -> None:
+        """Choose the elastic model as part of the last edit, which large motion cannot solve."""
+        self.join(self.model_part, replace(self.model, name="elastic", unfolds=False))
+
+    def use_elastic(self) -> None:
+        """Choose the elastic model although tissue folds."""
+        self.choose_model(replace(self.model, name="elastic", unfolds=False))
 
     def restore(self, study: Study, layers: Mapping[str, Hashable]) -> None:
         """Select the image and restore the choices of a study, without undo steps.

@@ -20,7 +20,7 @@ from napari_hmrf.solver.optimizers import Optimizer
 from napari_hmrf.solver.priors import NeoHookeanPrior, Prior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.study.landmark_data import uncertain_landmarks
-from napari_hmrf.study.models import family_of
+from napari_hmrf.study.models import family_of, parts_of
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing import Drawing
 
@@ -40,6 +40,9 @@ _LOADS = {
     "weight": "is a force",
     "cavity": "has forces",
 }
+# Largest number of sites of an image and of a volume that large motion solves within a minute or
+# two, with a picture every second.
+_MOST_SITES = {2: 2_000_000, 3: 64**3}
 _USE_ELASTIC = "the elastic model (`model='elastic'`)"
 
 
@@ -224,6 +227,17 @@ def refuse_unsupported(study: Study, **content: Any) -> None:
     error = unsupported(study, **content)
     if error is not None:
         raise error
+
+
+def can_unfold(study: Study) -> bool:
+    """Return whether large motion can solve an elastic study, so that no tissue folds."""
+    is_elastic = family_of(study.prior, study.optimizer) == "elastic"
+    return is_elastic and unsupported(study, parts_of("large motion")) is None
+
+
+def unfolds_quickly(study: Study) -> bool:
+    """Return whether large motion may take the place of the elastic model without a question."""
+    return math.prod(study.grid.shape) <= _MOST_SITES[len(study.grid.shape)] and can_unfold(study)
 
 
 def supports(model: ModelName, analysis: Analysis) -> bool:

@@ -21,7 +21,7 @@ from napari_hmrf.study.drag_preview import as_dragged, drag_preview
 from napari_hmrf.study.engine import Deformation
 from napari_hmrf.study.session import Session
 from napari_hmrf.study.study import Study
-from napari_hmrf.study.support import refuse_unsupported
+from napari_hmrf.study.support import unfolds_quickly, unsupported
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.curve.curve_layer import CurveLayer
 from napari_hmrf.ui.dock_form import DockForm
@@ -102,6 +102,8 @@ class Controller:
         self._submitted: Study | None = None
         # Reason why the tissue is not updated, report on the last result, and last emitted message.
         self._failure = self._report = self._last_message = ""
+        # Reason why large motion does not solve the current study, until the next report.
+        self._taken_back = ""
         self._refresh_timer = single_shot(native, 0, self.refresh)
         self._complete_timer = single_shot(native, _REST, self.complete)
         self.progress = SolveProgress(
@@ -171,7 +173,7 @@ class Controller:
             return
         self._is_unread = False
         self.settling, self._submitted = True, study
-        self.engine.submit(study, self.session.display.device, cold_start=True)
+        self._submit(study, cold_start=True)
         self.progress.start("Deforming", at_once=True)
 
     def cancel(self) -> None:
@@ -256,14 +258,20 @@ class Controller:
     def _read_chosen(self, unpainted: bool = True) -> Study:
         """Read the current choices as the current study.
 
-        If `unpainted` is True, a boundary layer without paint is accepted.
+        If `unpainted` is True, a boundary layer without paint is accepted. Large motion that has
+        taken the place of the elastic model gives it back to inputs that it does not support.
         """
         request = self.reader.request()
         assert request.drawing is not None
         if not (unpainted or request.drawing.marks or request.boundary is None):
             request = replace(request, drawing=None)  # gives a specific error message
         study = self.reader.read(request)
-        refuse_unsupported(study)
+        error = unsupported(study)
+        if error is not None and self._has_taken_over(study):
+            self._take_back(error)
+            return self._read_chosen(unpainted)
+        if error is not None:
+            raise error
         self._select_slice(study, request.grid_layers[0])
         return replace(study, motion=replace(study.motion, drawing=self.session.drawing))
 
@@ -322,12 +330,40 @@ class Controller:
             plane = plane_shown(place, view) if in_slices else None
             cut = self.pointer.display.cut if volume and not in_slices else None
             study, preview = as_dragged(study), drag_preview(study, plane, cut)
-        self.engine.submit(study, self.session.display.device, preview=preview)
+        self._submit(study, preview=preview)
+
+    def _submit(self, study: Study, **how: Any) -> None:
+        counts = self.session.model.unfolds and unfolds_quickly(study)
+        self.engine.submit(study, self.session.display.device, counts_folds=counts, **how)
+
+    def _unfold(self, moved: Deformation) -> None:
+        """Choose large motion, because the elastic tissue of an answer folds, and solve again."""
+        self.session.unfold()
+        if moved.settled:
+            self.solve_cold()
+        else:
+            self.follow_edit()
+
+    def _has_taken_over(self, study: Study) -> bool:
+        """Return whether large motion took the place of the elastic model for a study."""
+        return self.session.model.unfolds and study.model_name == "large motion"
+
+    def _take_back(self, error: Exception) -> None:
+        """Choose the elastic model again, because large motion cannot solve the study."""
+        self.session.take_back_unfolding()
+        self._taken_back = messages.ELASTIC_AGAIN.format(messages.in_short(error))
 
     def _on_answer(self, moved: Deformation) -> None:
         if not self.session.is_here(moved.study):
             return
         self.progress.restart()
+        if moved.folds > messages.HANDFUL:
+            self._unfold(moved)
+            return
+        if moved.error is not None and self._has_taken_over(moved.study):
+            self._take_back(moved.error)
+            self.follow_edit()
+            return
         if moved.error is not None:
             self.outdated.emit()
         if moved.error is not None and moved.settled:
@@ -355,7 +391,11 @@ class Controller:
         if not self.session.is_here(done.moved.study):
             return
         self.session.results[self.session.slice.layer] = done
-        self._report = messages.report(done)
+        solution = done.outputs.solution
+        unfolded = self._has_taken_over(done.moved.study)
+        report = messages.report(done, unfolded=unfolded)
+        is_special = bool(self._taken_back) or unfolded
+        self._report, self._taken_back = f"{report} {self._taken_back}".rstrip(), ""
         self._show(done)
         self.progress.restart()
         self.latest_changed.emit()
@@ -363,7 +403,8 @@ class Controller:
         if settled:
             self._stop()
         self._emit_message(always=not self.pointer.active)
-        if settled and self.pointer.active:
+        is_short = solution.reach is not None and solution.reach.where is not None
+        if self.pointer.active and (settled or is_special or is_short):
             self.message.emit(self._report)
         self.result_drawn.emit(done.outputs)
         if settled:

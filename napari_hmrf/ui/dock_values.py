@@ -115,6 +115,11 @@ class DockValues(Dock):
         "_form.model.model.value",
         'Tissue model; setting "paper" also sets `settings` to the settings of the paper.',
     )
+    unfolds = _Chosen[bool](
+        "_form.model.unfolds.value",
+        "True if large motion takes the place of the elastic model where tissue folds; setting "
+        "`model` to another model makes it False.",
+    )
     plane = _Chosen[Plane](
         "_form.model.plane.value",
         'Plane assumption of the elastic model: "stress" or "strain".',

@@ -114,7 +114,7 @@ class Guide:
             deform=form.footer.deform.text,
             latest=self._session.result_here,
             overlay=self._chip.overlay,
-            model=form.model.model.value,
+            model=self._session.model,
             has_selection=tool.selected is not None,
             has_marks=bool(pointer.drawing.marks),
         )

@@ -20,8 +20,8 @@ from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.optimizers.base import Reach
 from napari_hmrf.solver.staged_progress import COMPILING
 from napari_hmrf.study.landmark_data import uncertain_landmarks
-from napari_hmrf.study.models import parts_of
-from napari_hmrf.study.support import unsupported
+from napari_hmrf.study.session import ModelChoice
+from napari_hmrf.study.support import can_unfold
 from napari_hmrf.ui.window_words import in_window_words
 
 #: Labels of the button that solves from a cold start, without and with *Live*.
@@ -40,6 +40,10 @@ CURVE = "First guess: brighter tissue is stiffer. Drag the points of the curve t
 MEANWHILE = "The deformed image is hidden while you paint."
 CHANGED = f"The inputs have changed since the last result. Press {BUTTON}."
 CANCELLED = "Cancelled; nothing was changed."
+#: Clause about a result in large motion that nobody has chosen.
+UNFOLDED = ", in large motion, because it would fold in the elastic model"
+#: Message if large motion cannot take the place of the elastic model.
+ELASTIC_AGAIN = "The elastic model is used again, because large motion failed: {}"
 STAYS = "The last result is still shown."
 #: Message after a solve from a cold start that used up its budget.
 KEPT_RESULT = (
@@ -105,12 +109,15 @@ MODELS: dict[ModelName, str] = {
 }
 #: Labels of the button that offers another model.
 OFFER = "Use large motion"
+#: Label of the button that takes this choice back.
+BACK = "Use elastic"
 #: Label of the button that continues a solve that used up its budget.
 CONTINUE = "Continue"
 #: Tooltips of these buttons.
 ABOUT_OFFERS = {
     "": "",
     OFFER: "Solve with the model 'large motion', in which tissue never folds",
+    BACK: "Solve with the model 'elastic', in which tissue folds; large motion has taken its place",
     CONTINUE: "Continue from this result; this sets a larger 'largest work' under 'Advanced'",
 }
 PLANES: dict[Plane, str] = {"stress": "free to bulge", "strain": "held at its faces"}
@@ -143,8 +150,11 @@ def with_button(text: str, label: str) -> str:
     return text.replace(BUTTON, label if label == DEFORM else f"'{label}'")
 
 
-def report(done: CompleteResult) -> str:
-    """Describe the largest displacement and the drift, and whether an earlier result was kept."""
+def report(done: CompleteResult, *, unfolded: bool = False) -> str:
+    """Describe the largest displacement and the drift, and whether an earlier result was kept.
+
+    If `unfolded` is True, say that large motion has taken the place of the elastic model.
+    """
     place, solution = done.moved.study.grid.known_place, done.outputs.solution
     largest = as_seen(float(magnitude(solution.displacement).max()), solution.spacing)
     if not largest:
@@ -152,7 +162,9 @@ def report(done: CompleteResult) -> str:
     slice_name = place.slice_seen.replace("slice", "Slice")
     where = f"{slice_name}: tissue" if slice_name else "Tissue"
     unit = unit_symbol(place.unit)
-    moved = f"{where} moved up to {largest:.3g} {unit}.{_short_of_target(solution.reach, unit)}"
+    why = UNFOLDED if unfolded else ""
+    short = _short_of_target(solution.reach, unit)
+    moved = f"{where} moved up to {largest:.3g} {unit}{why}.{short}"
     moved = " ".join((moved, *map(_sentence, drift_clauses(solution))))
     is_kept = done.moved.settled and done.moved.is_earlier
     return f"{moved} {KEPT_RESULT}" if is_kept else moved
@@ -163,7 +175,10 @@ def _short_of_target(reach: Reach | None, unit: str) -> str:
     if reach is None or reach.where is None:
         return ""
     remedy = f"press '{CONTINUE}'" if reach.stopped else "see the warning"
-    return f" Some tissue stays up to {reach.missing:.3g} {unit} short of its target: {remedy}."
+    return (
+        f" Some tissue stays up to {reach.missing:.3g} {unit} short of its target, after "
+        f"{reach.part:.0%} of the way: {remedy}."
+    )
 
 
 def warnings_of(done: CompleteResult, overlay: str) -> tuple[str, str]:
@@ -183,20 +198,20 @@ def warnings_of(done: CompleteResult, overlay: str) -> tuple[str, str]:
     return " ".join(parts), _label(short_of(done.notes[0])) if done.notes else ""
 
 
-def offer_of(done: CompleteResult | None, model: ModelName) -> str:
-    """Return the label of the remedy for the latest result while a model is chosen, or "".
+def offer_of(done: CompleteResult | None, model: ModelChoice) -> str:
+    """Return the label of the button for the latest result while a model is chosen, or "".
 
-    The remedy is more work for a solve that used up its budget, or large motion if tissue folds.
+    It offers more work for a solve that used up its budget, large motion if tissue folds, or the
+    elastic model if large motion has taken its place.
     """
     if done is None:
         return ""
     study, solution = done.moved.study, done.moved.solution
-    if model == "large motion":
-        has_stopped = solution is not None and live_solver.has_stopped(solution)
-        return CONTINUE if has_stopped else ""
-    is_folded = study.model_name == "elastic" and "folds" in marks_of(done.outputs)
-    can_unfold = is_folded and unsupported(study, parts_of("large motion")) is None
-    return OFFER if can_unfold else ""
+    if model.name == "large motion":
+        if solution is not None and live_solver.has_stopped(solution):
+            return CONTINUE
+        return BACK if model.unfolds else ""
+    return OFFER if "folds" in marks_of(done.outputs) and can_unfold(study) else ""
 
 
 def marks_of(outputs: Outputs) -> dict[Mark, int]:

@@ -44,6 +44,10 @@ _ABOUT_STRAIN = (
     "Strain that is usual for this tissue, against which landmarks with an uncertainty (±) are "
     "weighed. A larger strain brings tissue closer to these landmarks; it has no other effect"
 )
+_ABOUT_UNFOLDS = (
+    "Change to the model 'large motion' by itself when an edit folds elastic tissue. Choosing a "
+    "model switches this off"
+)
 _ABOUT_DRIFT = (
     "Let all tissue also stretch, shrink or shear evenly, as much as the landmarks with an "
     "uncertainty (±) suggest: for example, if the scanner or the pixel size differs between "
@@ -112,6 +116,8 @@ class ModelForm(Container):
     poisson : FloatSpinBox
         Poisson's ratio of the elastic model if the tissue is a stiffness image; for labels, the
         ratios are in the tissue table.
+    unfolds : CheckBox
+        Ticked if large motion takes the place of the elastic model where tissue folds.
     strain : FloatSpinBox
         Typical strain of elastic tissue, in percent.
     drift : CheckBox
@@ -156,8 +162,15 @@ class ModelForm(Container):
             value=100 * StrainScale.strain,
         )
         self.drift = CheckBox(name="drift", text="affine drift", tooltip=_ABOUT_DRIFT)
+        self.unfolds = CheckBox(
+            name="unfolds",
+            value=True,
+            text="large motion where tissue folds",
+            tooltip=_ABOUT_UNFOLDS,
+        )
         self._when = Prose()
-        self._form = Form([self.model, self.plane, self.poisson, self.strain, self.drift])
+        fields = [self.model, self.unfolds, self.plane, self.poisson, self.strain, self.drift]
+        self._form = Form(fields)
         super().__init__(widgets=[self._form, self._when], labels=False)
         self.in_detail = DetailsForm()
         self._tissue: Any = None
@@ -175,13 +188,15 @@ class ModelForm(Container):
         form = self._form.asdict()
         parts = form["model"], form["plane"], form["poisson"], self.in_detail.details
         strain = round(form["strain"] / 100, _DECIMALS)
-        return ModelChoice(*parts, strain=strain, drift=form["drift"])
+        of_elastic = {name: form[name] for name in ("drift", "unfolds")}
+        return ModelChoice(*parts, strain=strain, **of_elastic)
 
     @choice.setter
     def choice(self, choice: ModelChoice) -> None:
         values = {"model": choice.name, "plane": choice.plane, "poisson": choice.poisson}
         low, high = _STRAINS
         values |= {"strain": min(max(100 * choice.strain, low), high), "drift": choice.drift}
+        values["unfolds"] = choice.unfolds  # last, because a new model resets it
         self._form.update(values)
         self.in_detail.details = choice.details
 
@@ -202,6 +217,7 @@ class ModelForm(Container):
         self._show()
 
     def _on_model(self, model: str) -> None:
+        self.unfolds.value = False
         if model == "paper":
             self.in_detail.details = SolverDetails()
         self._show()
@@ -212,6 +228,7 @@ class ModelForm(Container):
         self._when.show_text(when_to_take(model, None if self._volume else self.plane.value))
         self.plane.visible = self.is_elastic and not self._volume
         self.poisson.visible = self.is_elastic and isinstance(self._tissue, Image)
+        self.unfolds.visible = self.is_elastic
         self.strain.visible = self.is_elastic
         # A drift that another model refuses can be switched off.
         self.drift.visible = model == "elastic" or (self.is_elastic and self.drift.value)

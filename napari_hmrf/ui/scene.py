@@ -6,12 +6,12 @@ from the parts of the dock each time, into the `Scene`: texts, and which buttons
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from napari_hmrf.layers.result_layers import CompleteResult
 from napari_hmrf.notes import kind_of
-from napari_hmrf.solver.model_names import ModelName
+from napari_hmrf.study.session import ModelChoice
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.motion import motion_messages
 
@@ -132,8 +132,7 @@ class Situation:
         Latest result of the current slice or volume.
     overlay : str
         Visible overlay of the result.
-    model : str
-        Chosen model.
+    model : ModelChoice
     has_selection, has_marks : bool
         True if a mark is selected, and if the drawing has marks.
     """
@@ -159,7 +158,7 @@ class Situation:
     deform: str = messages.DEFORM
     latest: CompleteResult | None = None
     overlay: str = ""
-    model: ModelName = "elastic"
+    model: ModelChoice = field(default_factory=ModelChoice)
     has_selection: bool = False
     has_marks: bool = False
 

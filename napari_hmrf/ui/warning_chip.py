@@ -47,12 +47,14 @@ class WarningChip:
 
     def _take_offer(self) -> None:
         model = self._form.model
-        offer = messages.offer_of(self._session.result_here, model.model.value)
+        offer = messages.offer_of(self._session.result_here, self._session.model)
         if offer == messages.CONTINUE:
             details = model.in_detail
             details["budget"].value = larger_budget(details["budget"].value)
         elif offer == messages.OFFER:
             model.model.value = "large motion"
+        elif offer == messages.BACK:
+            self._session.use_elastic()
 
     def _on_chip(self) -> None:
         """Emit the warning, and show the next mark: folds, then overlaps, then no mark."""

@@ -202,6 +202,25 @@ def test_values_of_a_joint_step_remain_together_without_a_dropped_slot(gone, und
     assert state(edits) == {slot: left[slot] for slot in after}
 
 
+def test_a_value_that_follows_from_an_edit_is_undone_with_it():
+    edits, (drawn, table, *_) = opened(), SLOTS
+    drawing, rows = VALUES[drawn], VALUES[table]
+    edits.begin(drawn, "pulled tissue")
+    edits.update(drawing[1])
+    edits.join(table, rows[1])
+    edits.update(drawing[0])
+    assert edits.end() is None, "the drag returned to its start"
+    assert edits.get(table) == rows[0]
+    edits.do(drawn, drawing[2], "pulled tissue")
+    for value in rows[2:4]:
+        edits.join(table, value)
+    assert edits.next_undo.part == drawn
+    edits.undo()
+    assert (edits.get(drawn), edits.get(table)) == (drawing[0], rows[0])
+    edits.redo()
+    assert (edits.get(drawn), edits.get(table)) == (drawing[2], rows[3])
+
+
 def test_an_amended_value_is_not_a_step():
     edits = opened()
     slot = SLOTS[2]

@@ -7,7 +7,6 @@ import pytest
 from qtpy.QtWidgets import QPushButton, QTableWidget
 
 from napari_hmrf import Arrow, Cavity, Drawing, Landmark, NeoHookeanPrior, Stroke
-from napari_hmrf.fields import count_folds
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, layer_metadata
 from napari_hmrf.solver.optimizers import work
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
@@ -81,29 +80,42 @@ def test_strain_excludes_typed_growth_but_includes_growth_with_the_wheel(dock, d
     assert np.trace(turned.strain()[20, 20, -2:, -2:]) > 0.1
 
 
-def test_a_button_removes_folds_with_large_motion_and_can_be_undone(dock, do_and_wait):
-    screen, offer = Screen(dock), "Use large motion"
+def test_large_motion_takes_over_by_itself_where_elastic_tissue_folds(dock, do_and_wait):
+    screen, back, again = Screen(dock), "Use elastic", "Use large motion"
     do_and_wait(screen.cell("tumour", "grows").write, "20")
-    assert not offers(dock, offer)
-    folded = do_and_wait(screen.cell("tumour", "grows").write, "150")
-    assert count_folds(folded.displacement, spacing=1) > 5
-    assert offers(dock, offer)
+    assert dock.model == "elastic"
+    shown = []
+    dock.deformation_changed.connect(shown.append)
+    mended = do_and_wait(screen.cell("tumour", "grows").write, "150")
+    assert all(moved.solution.count_folds() == 0 for moved in shown), "folds were shown"
+    assert dock.model == mended.provenance.model == dock.study.model_name == "large motion"
+    assert "in large motion, because it would fold" in dock.status
+    assert "folds" not in dock.warning
+    folded = do_and_wait(screen.press, back)
+    assert dock.model == "elastic"
+    assert folded.count_folds() > 5
+    assert not offers(dock, back)
+    assert offers(dock, again)
     do_and_wait(screen.press, "⚠")
     assert "the tissue folds" in dock.status
-    mended = do_and_wait(screen.press, offer)
+    chosen = do_and_wait(screen.press, again)
     assert "fold" not in dock.status, "what was said of the last result has gone with it"
-    assert dock.model == mended.provenance.model == "large motion"
-    assert count_folds(mended.displacement, spacing=1) == 0
-    assert "folds" not in dock.warning
-    assert not offers(dock, offer)
+    assert chosen.count_folds() == 0
+    assert not offers(dock, back), "the user has chosen large motion"
     do_and_wait(dock.undo)
     assert dock.model == "elastic"
-    screen.press(offer)
+    screen.press(again)
     dock.cancel()
-    assert not offers(dock, offer), "large motion is offered although it is chosen"
+    assert not offers(dock, again), "large motion is offered although it is chosen"
+    for model in ("elastic", "large motion", "elastic"):
+        do_and_wait(dock.undo)
+        assert dock.model == model
+    assert dock.materials[1].growth == pytest.approx(0.2), "growth and model are one step"
 
 
-def test_a_button_removes_the_folds_of_a_volume_with_large_motion(frame, wait_for):
+def test_large_motion_takes_over_in_a_volume_but_not_in_a_study_from_a_file(
+    frame, wait_for, tmp_path
+):
     viewer = frame.viewer
     ball = np.linalg.norm(np.indices((7, 7, 7)) - 3, axis=0) < 2.1
     viewer.add_image(np.where(ball, 0.9, 0.5), name="Head")
@@ -112,13 +124,16 @@ def test_a_button_removes_the_folds_of_a_volume_with_large_motion(frame, wait_fo
     dock = frame.open()
     dock.image, dock.extent, dock.tissue = viewer.layers[0], "volume", viewer.layers[1]
     wait_for(lambda: not dock.busy)
-    assert "folds" in dock.warning
-    Screen(dock).press("Use large motion")
-    wait_for(lambda: not dock.busy)
     assert dock.solution.provenance.model == "large motion"
-    assert "folds" not in dock.warning
     assert dock.solution.count_folds() == 0
-    assert not offers(dock, "Use large motion")
+    dock.unfolds, dock.model = False, "elastic"
+    wait_for(lambda: not dock.busy)
+    path = dock.save_study(tmp_path / "folded")
+    dock.reset()
+    dock.open_study(path)
+    wait_for(lambda: not dock.busy)
+    assert "folds" in dock.warning
+    assert not dock.unfolds
 
 
 def test_a_button_continues_large_motion_that_used_up_its_budget(
@@ -227,7 +242,7 @@ def test_a_painted_boundary_slides_and_large_motion_says_that_it_cannot(
     assert "'Lid' has tissue that slides" in dock.status
 
 
-def test_large_motion_is_not_offered_for_folds_of_tissue_that_slides(dock, viewer, do_and_wait):
+def test_large_motion_gives_the_elastic_model_back_to_tissue_that_slides(dock, viewer, do_and_wait):
     paint = np.zeros((SIZE, SIZE), int)
     paint[-1] = 1
     rules = (BoundaryRule(1, "fixed", name="table"),)
@@ -235,10 +250,11 @@ def test_large_motion_is_not_offered_for_folds_of_tissue_that_slides(dock, viewe
     dock.hold_edge = True
     screen = Screen(dock)
     do_and_wait(screen.cell("tumour", "grows").write, "150")
-    assert offers(dock, "Use large motion")
+    assert dock.model == "large motion"
     slid = do_and_wait(screen.cell("table", "Action").choose, "slides")
     assert slid.displacement[-1, 20, 0] == pytest.approx(0, abs=0.01)
     assert slid.count_folds() > 0
+    assert "elastic model is used again" in dock.status
     assert not offers(dock, "Use large motion")
 
 
@@ -277,7 +293,7 @@ def test_a_warning_reports_motion_that_the_large_motion_model_could_not_apply(
     assert isinstance(dock.study.prior, NeoHookeanPrior)
     assert solution.reach.missing > 0.1
     assert "stay short" in dock.warning
-    assert "short of its target: see the warning" in dock.status
+    assert "of the way: see the warning" in dock.status
 
 
 def test_large_motion_is_solved_once_the_sliding_surface_is_removed(dock, do_and_wait):
@@ -293,6 +309,7 @@ def test_large_motion_is_solved_once_the_sliding_surface_is_removed(dock, do_and
 
 
 def test_large_motion_is_offered_beside_all_inputs_that_it_supports(dock, do_and_wait):
+    dock.unfolds = False
     do_and_wait(Screen(dock).cell("tumour", "grows").write, "150")
     mark = Landmark((34, 8), (0, 0), 3.0, sd=2.0)
     do_and_wait(setattr, dock, "drawing", Drawing((mark,)))

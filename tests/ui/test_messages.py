@@ -8,9 +8,10 @@ import pytest
 from napari_hmrf.layers.result_layers import CompleteResult, Outputs
 from napari_hmrf.notes import Note
 from napari_hmrf.study.measured_motion import MeasuredMotion
+from napari_hmrf.study.session import ModelChoice
 from napari_hmrf.study.study import Grid, Motion, Study
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
-from napari_hmrf.ui.messages import OFFER, marks_of, offer_of, warnings_of
+from napari_hmrf.ui.messages import BACK, OFFER, marks_of, offer_of, warnings_of
 
 
 @pytest.mark.parametrize(("folds", "marks"), [(0, {}), (5, {}), (6, {"folds": 6})])
@@ -43,6 +44,7 @@ def test_large_motion_is_offered_for_folds_unless_it_does_not_support_the_study(
         study = Study(Grid((4, 4), (1, 1)), motion=motion)
         outputs = Outputs(SimpleNamespace(parts=None), {}, 99)
         done = CompleteResult(SimpleNamespace(study=study, solution=None), outputs, ())
-        assert offer_of(done, "elastic") == offer
-        assert offer_of(done, "large motion") == ""
-    assert offer_of(None, "elastic") == ""
+        assert offer_of(done, ModelChoice()) == offer
+        assert offer_of(done, ModelChoice("large motion")) == BACK
+        assert offer_of(done, ModelChoice("large motion", unfolds=False)) == ""
+    assert offer_of(None, ModelChoice()) == ""

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 from napari_hmrf.layers.result_layers import CompleteResult, Outputs
 from napari_hmrf.notes import Note
 from napari_hmrf.solver.caveats import LOOSE
+from napari_hmrf.study.session import ModelChoice
 from napari_hmrf.study.study import Grid, Study
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.motion import motion_messages as words
@@ -125,7 +126,8 @@ def test_the_scene_names_what_is_wrong_with_the_result_and_offers_a_remedy():
     assert "Nothing holds the tissue" in scene.warning
     assert situation.hint.startswith("Nothing holds the tissue")
     assert scene.offer == messages.OFFER
-    assert resolve(replace(situation, model="large motion"), Status()).offer == ""
+    chosen = ModelChoice("large motion", unfolds=False)
+    assert resolve(replace(situation, model=chosen), Status()).offer == ""
     bare = resolve(IMAGE, Status())
     assert (bare.warning, bare.short_warning, bare.offer) == ("", "", "")
 

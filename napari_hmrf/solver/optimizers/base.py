@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
@@ -26,10 +26,15 @@ class Monitor:
         Description of the current step, for a progress bar.
     fraction : float
         Completed fraction of the work, 0 to 1.
+    so_far : callable, optional
+        Returns the field at this step of a solve of large motion, without folds: an `Outcome` from
+        an optimizer, a `Solution` from `solve`. Valid on the compute thread, until the report
+        returns.
     """
 
     message: str
     fraction: float
+    so_far: Callable[[], Any] | None = field(default=None, compare=False, repr=False)
 
 
 Report = Callable[[Monitor], None]

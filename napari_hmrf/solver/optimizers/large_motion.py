@@ -151,6 +151,26 @@ def converge(
         settle = partial(
             LargeSlip(newton, observed, most, load, data).run, d, warm=start is not None
         )
+
+    def state(grown: float) -> tuple[npt.NDArray[np.floating], float, Reach]:
+        """Return the displacement, its rounding error, and how far it satisfies observations."""
+        displacement, rounding, least = _returned(model, problem, d, tolerance)
+        missing = host.field(np.where(has_target, observed - d, 0.0))
+        # A site in no element has no motion yet: it follows the tissue near it.
+        missing[~sites_of_elements(problem.tissue)] = 0
+        parts = missing, host.field(observed), problem, tolerance, least, grown
+        return displacement, rounding, _reach(*parts)
+
+    def so_far() -> Outcome:
+        displacement, _, reach = state(progress.span[1])
+        energies = newton.energies or [model.energy(d)[0]]
+        energy = _per_site(energies, problem)
+        return Outcome(displacement, energy, (level(),), reach=replace(reach, stopped=True))
+
+    def level() -> LevelRun:
+        return LevelRun(0, problem.shape, len(newton.energies))
+
+    newton.so_far = so_far
     try:
         try:
             grown = _grow(settle, model, material, d, tolerance, progress)
@@ -159,7 +179,7 @@ def converge(
             d[:] = 0
             work.begin_again()
             newton = make_newton()
-            newton.restart = restart
+            newton.restart, newton.so_far = restart, so_far
             settle = partial(newton.run, d, observed, held)
             grown = _grow(settle, model, material, d, tolerance, progress)
     except ConvergenceError:
@@ -168,12 +188,8 @@ def converge(
         raise
     if outside is not None:
         check_reach(d, problem)
-    displacement, rounding, least = _returned(model, problem, d, tolerance)
+    displacement, rounding, reach = state(grown)
     distance = newton.distance
-    missing = host.field(np.where(has_target, observed - d, 0.0))
-    # A site in no element has no motion yet: it follows the tissue near it.
-    missing[~sites_of_elements(problem.tissue)] = 0
-    reach = _reach(missing, host.field(observed), problem, tolerance, least, grown)
     estimate = distance.estimate
     if newton.ran_out:
         # Cycles that ended early may estimate more than any motion of the tissue.
@@ -186,8 +202,8 @@ def converge(
     host.reuse(observed, held)
     return Outcome(
         displacement=displacement,
-        energy=np.array(newton.energies) / max(1, np.count_nonzero(problem.tissue)),
-        levels=(LevelRun(0, problem.shape, len(newton.energies)),),
+        energy=_per_site(newton.energies, problem),
+        levels=(level(),),
         convergence=Convergence(
             max(estimate, rounding),
             distance.residual / max(forces, _TINY),
@@ -195,6 +211,11 @@ def converge(
         ),
         reach=reach,
     )
+
+
+def _per_site(energies: list[float], problem: Problem) -> npt.NDArray[np.float64]:
+    sites = max(1, int(np.count_nonzero(problem.tissue)))
+    return np.array(energies, dtype=np.float64) / sites
 
 
 def _measurements(problem: Problem, material: FiniteMaterial) -> Measurements | None:
@@ -220,11 +241,11 @@ class _Progress:
     def __call__(self, monitor: Monitor) -> None:
         first, last = self.span
         self._fraction = max(self._fraction, first + monitor.fraction * (last - first))
-        self.message(monitor)
+        self._report(replace(monitor, fraction=self._fraction))
 
     def message(self, monitor: Monitor) -> None:
-        """Report a message without progress."""
-        self._report(replace(monitor, fraction=self._fraction))
+        """Report a message of a solve on a coarser grid, without its progress and its field."""
+        self._report(Monitor(monitor.message, self._fraction))
 
 
 def _coarse_start(

@@ -38,7 +38,7 @@ from napari_hmrf.solver.optimizers.loading import (
 )
 from napari_hmrf.solver.optimizers.refinement import Refinement
 from napari_hmrf.solver.optimizers.slip import Slip
-from napari_hmrf.solver.optimizers.work import LINEAR_SOLVE, SLIDING_SOLVE, Work
+from napari_hmrf.solver.optimizers.work import LINEAR_SOLVE, SLIDING_SOLVE, USUAL_BUDGET, Work
 from napari_hmrf.solver.priors import ElasticPrior, NeoHookeanPrior, Prior, SeilerPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.rigid_modes import holding_strength
@@ -90,7 +90,7 @@ class Multigrid:
     tolerance: Positive = 1e-3
     _: KW_ONLY
     max_iterations: Count = 300
-    budget: Positive | None = 60.0
+    budget: Positive | None = USUAL_BUDGET
 
     @property
     def parameters(self) -> dict[str, Any]:

@@ -28,7 +28,7 @@ from napari_hmrf.solver.backends.direct.factors import Factors
 from napari_hmrf.solver.backends.finite import FiniteModel
 from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
 from napari_hmrf.solver.backends.rigid.poses import Poses
-from napari_hmrf.solver.optimizers.base import Monitor, Report, factorizing, part_done
+from napari_hmrf.solver.optimizers.base import Monitor, Outcome, Report, factorizing
 from napari_hmrf.solver.optimizers.cycle import Cycle, Smoothing
 from napari_hmrf.solver.optimizers.external_forces import ExternalForces
 from napari_hmrf.solver.optimizers.krylov import (
@@ -43,6 +43,8 @@ from napari_hmrf.solver.optimizers.work import Work
 
 # A step of the field
 
+#: Share of a pull in the progress of a run; the rest is for the way to equilibrium.
+_PULL_SHARE = 0.9
 #: Smallest allowed ratio between a corner's Jacobian after and before a step.
 _JACOBIAN_PART = 0.25
 #: Safety factor on the largest possible length of a pull, if a corner limits the length.
@@ -68,9 +70,10 @@ _PULL_LIMIT = 150
 _STEP_LIMIT = 400
 #: Fraction of the work after which tissue is not pulled any further.
 _PULL_WORK = 0.8
-#: Fraction of the work after which a new initial field is tried if the tissue is still pulled.
+#: Fraction of `Work.measure` after which a new initial field is tried if the tissue is still
+#: pulled.
 _RESTART_WORK = 0.4
-#: Fraction of the work after which it is tried if more than `_SLOW_PULL` of the pull is left.
+#: The same fraction if more than `_SLOW_PULL` of the pull is left.
 _EARLY_RESTART_WORK = 0.2
 _SLOW_PULL = 0.25
 # The linear system of a step
@@ -291,6 +294,8 @@ class Newton:
         #: used once; the run continues with the field that is closer to the observations.
         self.restart: Callable[[], Planes | None] | None = None
         self._strategy, self._poses = strategy, poses
+        #: Function that returns the present field as an `Outcome`, for reports; or None.
+        self.so_far: Callable[[], Outcome] | None = None
         #: True if the run begins with a warm start, which is given up if it obstructs a pull.
         self.is_warm = False
         #: Loads on the tissue and forces of its data, or None.
@@ -422,12 +427,15 @@ class Newton:
     def _is_late(self, fraction: float) -> bool:
         return self._work.spent >= fraction * self._work.limit
 
+    def _takes_long(self, fraction: float) -> bool:
+        return self._work.spent >= fraction * self._work.measure
+
     def _is_slow(self, d: Planes, y: Planes, held: HeldPlanes) -> bool:
         """Return whether another initial field is worth trying."""
-        if self.restart is None or not self._is_late(_EARLY_RESTART_WORK):
+        if self.restart is None or not self._takes_long(_EARLY_RESTART_WORK):
             return False
         part = _largest(y - d, held) / self._first if self._first > 0 else 0.0
-        return part > (0.0 if self._is_late(_RESTART_WORK) else _SLOW_PULL)
+        return part > (0.0 if self._takes_long(_RESTART_WORK) else _SLOW_PULL)
 
     def _restarts(self, d: Planes, y: Planes, held: HeldPlanes) -> bool:
         """Replace `d` by a field that is closer to `y`; return False if there is none."""
@@ -807,9 +815,9 @@ class Newton:
             raise Obstructed
 
     def _report_step(self, number: int, left: float) -> None:
-        done = part_done(max(self._first, 1e-3), max(left, 1e-3), 1e-3) if self._first else 1.0
+        done = _PULL_SHARE * (1 - left / self._first if self._first > 0 else 1.0)
         action = f"{left:.2g} px left to pull" if left else "relaxing"
-        self._report(Monitor(f"step {number + 1}, {action}", done))
+        self._report(Monitor(f"step {number + 1}, {action}", done, self.so_far))
 
 
 def _shares(first: float) -> Iterator[float]:

@@ -21,6 +21,8 @@ _FIXED_COST_SITES = 4000
 # Smallest budget of an image and of a volume, in cycles times sites: about half a second of work
 # in an image and two seconds in a volume, on two cores.
 _LEAST_CYCLE_SITES = {2: 2e7, 3: 4e6}
+#: Default largest work, in solves with linear elasticity.
+USUAL_BUDGET = 60.0
 
 
 class Work:
@@ -43,11 +45,12 @@ class Work:
         self, budget: float | None, shape: tuple[int, ...], solve: float = LINEAR_SOLVE
     ) -> None:
         sites = math.prod(shape)
+        least = _LEAST_CYCLE_SITES[len(shape)] / (sites + _FIXED_COST_SITES)
         #: Largest amount of work.
-        self.limit = math.inf
-        if budget is not None:
-            least = _LEAST_CYCLE_SITES[len(shape)] / (sites + _FIXED_COST_SITES)
-            self.limit = max(solve * budget, least)
+        self.limit = math.inf if budget is None else max(solve * budget, least)
+        #: Amount of work that other ways to solve are measured against: a solve that takes long
+        #: is started again from coarser grids, whether or not its work is limited.
+        self.measure = min(self.limit, max(solve * USUAL_BUDGET, least))
         #: Work so far.
         self.spent = 0.0
         # Cost of one cycle on this grid, and of one factorization, in cycles on the finest grid.
@@ -65,12 +68,13 @@ class Work:
         Parameters
         ----------
         fraction : float
-            Fraction of the work that is left.
+            Fraction of the work that is left, or of `measure` if the work is not limited.
         shape : tuple of int
             Shape of the coarser grid.
         """
         part = Work(None, shape)
-        part.limit = fraction * (self.limit - self.spent)
+        left = self.measure if math.isinf(self.limit) else self.limit - self.spent
+        part.limit = part.measure = fraction * left
         share = (part._sites + _FIXED_COST_SITES) / (self._sites + _FIXED_COST_SITES)
         part._cycle = share * self._cycle
         part._factorization *= part._cycle

@@ -1,0 +1,176 @@
+"""Random pulls by mouse in a real napari window: folds, reach, and time to the picture at rest.
+
+    python -m benchmarks.pulls [number] [--share 0.25] [--steps 12] [--seed 0]
+
+A hand grabs tissue of the sample brain (300 x 300 pixels) at a random point and moves it in a
+straight line, in a random direction, by up to a share of the width of the image, in about half a
+second. The picture at rest must not fold, and the grabbed point must be within a pixel of the
+mouse, or the status line must say how far it is from its target. Each pull is undone before the
+next. Without a display, run the command with `sh scripts/headless.sh`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from qtpy.QtCore import QEvent, QPoint, QPointF
+
+from benchmarks.clock import conditions, now, since
+from benchmarks.table import head, line
+from benchmarks.window import Window
+
+_WINDOW = (1366, 768)
+# Time between two moves of the mouse, in seconds.
+_PACE = 0.04
+# Longest wait for a result, in seconds.
+_LATEST = 600.0
+# Distance of the grabbed point from the mouse that counts as reached, in pixels.
+_REACHED = 1.0
+
+
+@dataclass(frozen=True)
+class Pull:
+    """A pull and its result.
+
+    Attributes
+    ----------
+    at, by : tuple of float
+        Grabbed pixel, and motion of the mouse in pixels.
+    seconds : float
+        Time from the release of the button to the picture at rest.
+    longest : float
+        Longest time without a new picture after the release, in seconds.
+    folds : int
+        Folded pixels at rest.
+    missing : float
+        Distance of the grabbed point from its target, in pixels.
+    model, status : str
+        Model of the result, and the line in the window.
+    """
+
+    at: tuple[float, float]
+    by: tuple[float, float]
+    seconds: float
+    longest: float
+    folds: int
+    missing: float
+    model: str
+    status: str
+
+    @property
+    def is_right(self) -> bool:
+        """True if no pixel folds, and the point is reached or the window says that it is not."""
+        return self.folds == 0 and (
+            self.missing <= _REACHED or "short of its target" in self.status
+        )
+
+
+class PulledWindow(Window):
+    """Window with the sample brain, which is pulled by a mouse."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.viewer.open_sample("napari-hmrf", "brain")
+        self.viewer.show()
+        docks = self.viewer.window.dock_widgets
+        self._dock: Any = next(each for name, each in docks.items() if "Soft tissue" in name)
+        self.viewer.mouse_over_canvas = True
+        self.resize(*_WINDOW)
+        self._dock.start()
+        self.settle()
+        while self._dock.busy:
+            self.wait(0.1)
+
+    def pull(self, at: tuple[float, float], by: tuple[float, float], steps: int) -> Pull | None:
+        """Pull tissue by mouse, and undo the pull; None if there is no tissue at the point."""
+        dock, pictures = self._dock, []
+        dock.deformation_changed.connect(pictures.append)
+        self.send(QEvent.Type.MouseButtonPress, self._place(at))
+        for step in range(1, steps + 1):
+            self.wait(_PACE)
+            there = [float(a + b * step / steps) for a, b in zip(at, by, strict=True)]
+            self._native._last_time = 0.0  # vispy drops moves in quick succession
+            self.send(QEvent.Type.MouseMove, self._place(there))
+        began, last, longest, count = now(), now(), 0.0, len(pictures)
+        self.send(QEvent.Type.MouseButtonRelease, self._place(there))
+        shown: list[Any] = []
+        dock.result_drawn.connect(shown.append)
+        while dock.busy:
+            if since(began).wall > _LATEST:
+                raise SystemExit(f"no result of the pull at {at} by {by}")
+            self.wait(0.01)
+            if len(pictures) > count:
+                longest, last, count = max(longest, since(last).wall), now(), len(pictures)
+        seconds, solution = since(began).wall, dock.solution
+        dock.deformation_changed.disconnect(pictures.append)
+        dock.result_drawn.disconnect(shown.append)
+        if solution is None or not dock.drawing.marks:
+            return None
+        moved = solution.displacement[tuple(round(each) for each in at)]
+        made = Pull(
+            at,
+            by,
+            seconds,
+            max(longest, since(last).wall),
+            solution.count_folds(),
+            float(np.linalg.norm(np.subtract(dock.drawing.marks[0].by, moved))),
+            solution.provenance.model,
+            dock.status,
+        )
+        dock.undo()
+        self.settle()
+        return made
+
+    def _place(self, pixel: Sequence[float]) -> QPointF:
+        view = self._canvas.view
+        row, col = pixel
+        x, y = (view.transform * view.scene.transform).map((col, row))[:2]
+        return QPointF(QPoint(round(x), round(y)))
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print each pull that is not right, and the times of all."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("number", nargs="?", type=int, default=300)
+    parser.add_argument("--share", type=float, default=0.25, help="default: %(default)s")
+    parser.add_argument("--steps", type=int, default=12, help="moves of the mouse in a pull")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--verbose", action="store_true", help="print every pull")
+    options = parser.parse_args(arguments)
+    print(conditions())
+    window, random = PulledWindow(), np.random.default_rng(options.seed)
+    size = 300
+    tissue = np.argwhere(window.viewer.layers["Tissue"].data > 0)
+    pulls: list[Pull] = []
+    while len(pulls) < options.number:
+        row, col = tissue[random.integers(len(tissue))]
+        angle, length = random.uniform(0, 2 * math.pi), random.uniform(0, options.share * size)
+        by = (length * math.sin(angle), length * math.cos(angle))
+        made = window.pull((float(row), float(col)), by, options.steps)
+        if made is None:
+            continue
+        pulls.append(made)
+        if options.verbose or not made.is_right:
+            print(f"{len(pulls)}: {made}", flush=True)
+    seconds = [each.seconds for each in pulls]
+    large = sum(each.model == "large motion" for each in pulls)
+    reached = sum(each.missing <= _REACHED for each in pulls)
+    right = sum(each.is_right for each in pulls)
+    titles = ("pulls", "right", "reached", "large motion", "median", "95 %", "longest")
+    titles += ("longest without a picture",)
+    print(head(titles))
+    middle, most = np.percentile(seconds, (50, 95))
+    times = (middle, most, max(seconds), max(each.longest for each in pulls))
+    counts = (len(pulls), right, reached, large)
+    print(line([*counts, *(f"{each:.2f} s" for each in times)]), flush=True)
+    os._exit(0 if right == len(pulls) else 1)  # skip the shutdown of Qt and its windows
+
+
+if __name__ == "__main__":
+    main()
