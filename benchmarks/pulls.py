@@ -46,6 +46,8 @@ class Pull:
         Time from the release of the button to the picture at rest.
     longest : float
         Longest time without a new picture after the release, in seconds.
+    processor : float
+        Processor time of all threads from the release to the picture at rest, in seconds.
     folds : int
         Folded pixels at rest.
     missing : float
@@ -58,6 +60,7 @@ class Pull:
     by: tuple[float, float]
     seconds: float
     longest: float
+    processor: float
     folds: int
     missing: float
     model: str
@@ -107,7 +110,7 @@ class PulledWindow(Window):
             self.wait(0.01)
             if len(pictures) > count:
                 longest, last, count = max(longest, since(last).wall), now(), len(pictures)
-        seconds, solution = since(began).wall, dock.solution
+        took, solution = since(began), dock.solution
         dock.deformation_changed.disconnect(pictures.append)
         dock.result_drawn.disconnect(shown.append)
         if solution is None or not dock.drawing.marks:
@@ -116,8 +119,9 @@ class PulledWindow(Window):
         made = Pull(
             at,
             by,
-            seconds,
+            took.wall,
             max(longest, since(last).wall),
+            took.processor,
             solution.count_folds(),
             float(np.linalg.norm(np.subtract(dock.drawing.marks[0].by, moved))),
             solution.provenance.model,
@@ -163,10 +167,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     reached = sum(each.missing <= _REACHED for each in pulls)
     right = sum(each.is_right for each in pulls)
     titles = ("pulls", "right", "reached", "large motion", "median", "95 %", "longest")
-    titles += ("longest without a picture",)
+    titles += ("longest without a picture", "median of all threads")
     print(head(titles))
     middle, most = np.percentile(seconds, (50, 95))
     times = (middle, most, max(seconds), max(each.longest for each in pulls))
+    times += (float(np.median([each.processor for each in pulls])),)
     counts = (len(pulls), right, reached, large)
     print(line([*counts, *(f"{each:.2f} s" for each in times)]), flush=True)
     os._exit(0 if right == len(pulls) else 1)  # skip the shutdown of Qt and its windows

@@ -135,12 +135,12 @@ def converge(
     restart = None
     if limit is None and takes_coarse_start(problem):
         restart = partial(_coarse_start, problem, prior, backend, progress.message, work, model)
-    if start is None and restart is not None:
-        coarse = restart() if is_coarse else None
+    if restart is not None and not is_coarse:
+        newton.restart = restart
+    elif start is None and restart is not None:
+        coarse = restart()
         if coarse is not None:
             d = coarse
-        elif not is_coarse:
-            newton.restart = restart
     if limit is None:
         # A solve that ran out of work is continued, even if it is obstructed.
         newton.is_warm = start is not None and not start.is_unfinished
