@@ -270,10 +270,13 @@ class Result:
             self.update_visibility()
 
     def drop(self, part: Part) -> None:
-        """Remove the layer of a part; if the user has renamed the layer, only hide it."""
+        """Remove the layer of a part; if the user has renamed the layer, only hide it.
+
+        The layer list does not show paint, so that its layers are always removed.
+        """
         layer, state = self.layer(part), self._states.pop(part, None)
         if state is not None and layer is not None:
-            if layer.name == state.name:
+            if layer.name == state.name or part in (PAINTED, CONFIDENCE):
                 self._layers.remove(layer)
             else:
                 self._layers.want(layer, wanted=False)

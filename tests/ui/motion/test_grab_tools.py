@@ -456,6 +456,10 @@ def test_the_confidence_layer_belongs_to_a_slice_and_is_removed_with_image_or_do
     assert "Confidence" not in viewer.layers, "the confidence of another slice is displayed"
     viewer.dims.set_current_step(0, 1)
     settle(widget)
+    by_name(viewer, "Confidence").name = "renamed"  # by a script: the layer list does not show it
+    widget.tool = "pull"
+    assert "renamed" not in viewer.layers, "no tool and no eye icon hides the confidence"
+    widget.tool = "confidence"
     assert "Confidence" in viewer.layers
     viewer.layers.remove("MR")
     settle(widget)
