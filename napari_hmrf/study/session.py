@@ -281,6 +281,17 @@ class UnsavedWork:
             if here in now and any(part in now and now[part] != edited[part] for part in edited)
         )
 
+    @property
+    def removed(self) -> dict[Part, Path]:
+        """Path of the recovery file of each slice whose image was removed."""
+        now = self._session.parts
+        return {part: file for part, file in self.saved_files.items() if part not in now}
+
+    def forget(self, file: Path) -> None:
+        """Forget a recovery file of a removed image, which was opened or deleted."""
+        for part in [part for part, each in self.removed.items() if each == file]:
+            del self.saved_files[part]
+
     def add(self, here: Part) -> None:
         """Record that a slice is unsaved, even if all edits are undone."""
         self._before.setdefault(here, {})[here] = object()

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from magicgui.widgets import PushButton
 from napari.utils.notifications import show_warning
@@ -18,7 +19,7 @@ from qtpy.QtWidgets import QApplication
 from napari_hmrf.errors import in_words
 from napari_hmrf.io import recovery
 from napari_hmrf.io.study_file import image_named_in
-from napari_hmrf.study.session import Part, Session
+from napari_hmrf.study.session import Part, Session, UnsavedWork
 from napari_hmrf.ui.controller import Controller
 from napari_hmrf.ui.events import EventConnections, single_shot
 from napari_hmrf.ui.notice import Notice
@@ -39,6 +40,7 @@ class Autosave:
     Parameters
     ----------
     dock : Dock
+    viewer : napari.Viewer or ViewerModel
     session : Session
     controller : Controller
     files : StudyFiles
@@ -49,6 +51,7 @@ class Autosave:
     def __init__(
         self,
         dock: Dock,
+        viewer: Any,
         session: Session,
         controller: Controller,
         files: StudyFiles,
@@ -58,14 +61,23 @@ class Autosave:
         self._work = session.unsaved
         self._writer = threading.Thread()
         self._timer = single_shot(dock.native, _REST, self._keep)
+        layers = viewer.layers
         self._connections = EventConnections(
-            (self._work.noted, self._on_noted), (files.stored, self.drop)
+            (self._work.noted, self._on_noted),
+            (files.stored, self.drop),
+            (layers.events.removing, self._on_removing),
+            (layers.events.removed, lambda _: self._offer_timer.start()),
         )
-        self._notice = Notice()
+        # Deferred until the session has dropped the parts of the removed layer.
+        self._offer_timer = single_shot(dock.native, 0, lambda: self._offer.refresh())
+        self._viewer, self._notice = viewer, Notice()
         # Reason for each slice that cannot be autosaved.
         self._failures: dict[Part, str] = {}
         dock.insert(0, self._notice)
-        dock.insert(0, RecoveryNotice(lambda file: attempt(partial(self._open_recovered, file))))
+        self._offer = RecoveryNotice(
+            self._work, lambda file: attempt(partial(self._open_recovered, file))
+        )
+        dock.insert(0, self._offer)
 
     def drop(self, here: Part) -> None:
         """Delete the recovery file of a slice whose work was saved, discarded or undone."""
@@ -88,6 +100,12 @@ class Autosave:
         """Disconnect from edits after the dock was closed or its window was deleted."""
         self._connections.release()
         self._timer.stop()
+        self._offer_timer.stop()
+
+    def _on_removing(self, event: Any) -> None:
+        """Write the latest edits of an image before the image is removed."""
+        if self._viewer.layers[event.index] is self._session.slice.layer:
+            self.keep_now()
 
     def _on_noted(self) -> None:
         self._timer.start()
@@ -130,6 +148,7 @@ class Autosave:
     def _on_written(self, here: Part, failure: Exception | None) -> None:
         is_saved = here not in self._work.slices
         self._report(here, None if is_saved else failure)
+        self._offer.refresh()
 
     def _report(self, here: Part, failure: Exception | None = None) -> None:
         """Show why a slice cannot be autosaved, until it is autosaved or saved."""
@@ -150,49 +169,63 @@ class Autosave:
         """Open a recovery file of a terminated process, and keep it until the work is saved."""
         self._files.add(file, reuse=True)
         here = self._session.slice
+        self._work.forget(file)
         self._work.add(here)
         self._work.saved_files[here] = recovery.claim(file)
         self._files.opened.emit()
 
 
 class RecoveryNotice(Notice):
-    """Notice about work that was not saved when napari ended, with two buttons beside it.
+    """Notice about work that was not saved, with buttons below it.
+
+    It offers the work on images that were removed from this viewer, and the work that was not saved
+    when napari ended.
 
     Parameters
     ----------
+    work : UnsavedWork
     open_recovered : callable
         Opens a recovery file, and removes it from the files that the notice offers.
     """
 
-    def __init__(self, open_recovered: Callable[[Path], None]) -> None:
-        self._file = Path()
+    def __init__(self, work: UnsavedWork, open_recovered: Callable[[Path], None]) -> None:
+        self._work, self._files = work, [Path()]
         opened = PushButton(text="Open it", tooltip="Open the work that was not saved")
         discarded = PushButton(text="Discard", tooltip="Move the file of this work to the trash")
-        super().__init__(opened, discarded)
-        opened.changed.connect(partial(self._on_pressed, open_recovered))
-        discarded.changed.connect(partial(self._on_pressed, _discard))
+        self._all = PushButton(text="Discard all")
+        super().__init__(opened, discarded, self._all)
+        opened.changed.connect(lambda _: open_recovered(self._files[0]))
+        discarded.changed.connect(lambda _: self._discard(1))
+        self._all.changed.connect(lambda _: self._discard(len(self._files)))
+        for button in (opened, discarded, self._all):
+            button.changed.connect(self.refresh)
         self.refresh()
 
-    def refresh(self) -> None:
-        """Show the newest recovery file of a terminated process, or hide the notice."""
-        files, text, about = recovery.abandoned_files(folder()), "", ""
+    def refresh(self, *_: object) -> None:
+        """Show the newest file, of a removed image if there is one, or hide the notice."""
+        removed = [file for file in self._work.removed.values() if file.exists()]
+        self._files = files = [*reversed(removed), *recovery.abandoned_files(folder())]
+        text, about, number = "", "", len(files)
         if files:
-            self._file = files[0]
-            when = time.strftime("%d %b, %H:%M", time.localtime(self._file.stat().st_mtime))
-            more = f" (and {len(files) - 1} more)" if len(files) > 1 else ""
+            when = time.strftime("%d %b, %H:%M", time.localtime(files[0].stat().st_mtime))
+            more = f" (and {number - 1} more)" if number > 1 else ""
             of = f" on '{name}'" if (name := image_named_in(files[0])) else ""
             shown = of if len(name) <= _WRAPPED else "\u200b".join(of)
-            about = f"Work from {when}{of} was not saved when napari ended{more}."
+            why = "before the image was deleted" if removed else "when napari ended"
+            about = f"Work from {when}{of} was not saved {why}{more}."
             text = f"Unsaved work{shown}, {when}{more}"
         self.show_text(text, about)
+        self._all.visible = number > 1
+        self._all.tooltip = f"Move the files of all {number} studies to the trash"
 
-    def _on_pressed(self, answer: Callable[[Path], None], _: bool) -> None:
-        answer(self._file)
-        self.refresh()
+    def _discard(self, number: int) -> None:
+        for file in self._files[:number]:
+            discard(file, self._work)
 
 
-def _discard(file: Path) -> None:
-    """Move a file to the system's trash, or delete the file if there is no trash."""
+def discard(file: Path, work: UnsavedWork) -> None:
+    """Move a recovery file to the system's trash, or delete the file if there is no trash."""
+    work.forget(file)
     if not QFile(str(file)).moveToTrash():
         file.unlink(missing_ok=True)
 

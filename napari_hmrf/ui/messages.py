@@ -89,9 +89,9 @@ EDGE_GOES = (
 )
 #: Messages about the data that is lost with a deleted layer.
 DRAWING_GONE = "'{name}' was deleted with the drawing on it. napari cannot restore a deleted layer."
-DRAWING_KEPT = (
-    "'{name}' was deleted with the drawing on it. The work is kept: when napari starts again, the "
-    "dock offers to open it."
+DRAWING_KEPT = "'{name}' was deleted. Its drawing is kept: 'Open it' above restores both."
+DRAWING_SAVED = (
+    "'{name}' was deleted. Its drawing is saved in '{file}': to restore it, open the file."
 )
 TISSUE_GONE = (
     "'{name}' was deleted with its stiffness values. napari cannot restore a deleted layer."

@@ -14,16 +14,20 @@ class Notice(Container):
     Parameters
     ----------
     *buttons : PushButton
-        Buttons beside the text.
+        Buttons below the text.
     """
 
     def __init__(self, *buttons: PushButton) -> None:
         self._text = Prose()
+        super().__init__(widgets=[self._text], labels=False)
+        if buttons:
+            line = row(*buttons)
+            line.native.layout().addStretch()
+            line.margins = (0, 0, 0, 0)
+            self.append(line)
         for button in buttons:
             button.native.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Fixed)
-        line = row(self._text, *buttons)
-        line.margins = (0, 0, 0, 0)
-        super().__init__(widgets=[line], labels=False)
+        self.native.layout().setSpacing(2)
         self.margins = (4, 0, 0, 0)
         self.visible = False
 

@@ -141,7 +141,7 @@ class SoftTissue(DockValues):
         self._sides = PatientSides(viewer, undo.session)
         self._files = StudyFiles(self, viewer, controller, self._guide)
         work = controller, self._files
-        self._autosave = Autosave(self, undo.session, *work, self._try)
+        self._autosave = Autosave(self, viewer, undo.session, *work, self._try)
         self._unsaved = Unsaved(self.native, viewer, *work, self._autosave, self._try)
         self.fields, self.more = form.motion.fields, self._view.more
         self.deformation_changed, self.result_drawn, self.finished = (

@@ -15,7 +15,7 @@ from qtpy.QtWidgets import QApplication, QMainWindow, QMessageBox, QWidget
 from napari_hmrf.layers.compat import is_quitting, stop_quitting
 from napari_hmrf.layers.viewer_undo import undo_of
 from napari_hmrf.study.session import Part
-from napari_hmrf.ui.autosave import Autosave
+from napari_hmrf.ui.autosave import Autosave, discard
 from napari_hmrf.ui.controller import Controller
 from napari_hmrf.ui.study_files import StudyFiles
 
@@ -146,11 +146,15 @@ class CloseGuard(QObject):
             return False
         quitting = is_quitting(watched)
         closing = [viewer for window, viewer in _windows() if quitting or window is watched]
+        work = [undo_of(viewer).session.unsaved for viewer in closing]
         unsaved = [viewer for viewer in closing if undo_of(viewer).session.unsaved.slices]
         if not all(_unsaved_of(viewer).may_close() for viewer in unsaved):
             stop_quitting(watched)
             event.ignore()
             return True
+        for of_viewer in work:  # the dock has offered the work on images that were removed
+            for file in [*of_viewer.removed.values()]:
+                discard(file, of_viewer)
         if unsaved and event.spontaneous():
             event.ignore()  # napari would show its own prompt, too
             QTimer.singleShot(0, watched.close)

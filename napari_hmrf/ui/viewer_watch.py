@@ -15,6 +15,7 @@ from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.pixel_copy import CHANGES
 from napari_hmrf.layers.viewer_layers import is_deformed, is_painted, layers_of, lies_still, shared
 from napari_hmrf.layers.viewer_undo import undo_of
+from napari_hmrf.study.session import Part
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.usual_lengths import (
     largest_spread,
@@ -67,8 +68,9 @@ class ViewerWatch:
         self._is_painting = self._is_view_moved = False
         # Stack that unbinds the Space key of this layer.
         self._space = ExitStack()
-        # Message about a removed layer, until it is shown.
+        # Message about removed paint, and removed slice with a drawing and its name, until shown.
         self._removal_message = ""
+        self._removed_slice: tuple[Part | None, str] = (None, "")
         # True from then on until another image is chosen.
         self._reports_removal = False
         controller.slice_changed.connect(self._on_moved)
@@ -221,6 +223,8 @@ class ViewerWatch:
         layer, controller, display = event.value, self._controller, self._pointer.display
         was_read = self._reads(layer)
         self._removal_message = self._removal_message_for(layer) or self._removal_message
+        if layer is self._session.slice.layer and self._pointer.drawing.marks:
+            self._removed_slice = self._session.slice, layer.name
         self._binding.refresh()
         if layer is display.arrows.former and not display.quiet:
             self._guide.show_message(ARROWS_GONE, why="step")
@@ -232,19 +236,27 @@ class ViewerWatch:
         self._on_choice()
 
     def _removal_message_for(self, layer: Any) -> str:
-        """Return a message about work that is lost with a removed layer; "" if no work is lost.
+        """Return a message about paint that is lost with a removed layer; "" if none is lost.
 
         napari cannot restore a removed layer.
         """
         tissue, boundary = self._painted
-        study, is_source = self._session.study, layer is self._session.slice.layer
-        if is_source and study is not None and study.motion.drawing.marks:
-            recovered = self._session.unsaved.saved_files
-            is_kept = any(part.layer is layer for part in recovered)
-            sentence = messages.DRAWING_KEPT if is_kept else messages.DRAWING_GONE
-            return sentence.format(name=layer.name)
         words = {id(tissue): messages.TISSUE_GONE, id(boundary): messages.BOUNDARY_GONE}
+        is_source = layer is self._session.slice.layer
         return "" if is_source else words.get(id(layer), "").format(name=layer.name)
+
+    def _pop_removal_message(self) -> str:
+        """Return the message about a removed drawing, or else about removed paint, once."""
+        (here, name), sentence = self._removed_slice, self._removal_message
+        self._removed_slice, self._removal_message = (None, ""), ""
+        if here is None:
+            return sentence
+        work = self._session.unsaved
+        if here in work.removed:
+            return messages.DRAWING_KEPT.format(name=name)
+        if (file := work.paths.get(here)) is not None:
+            return messages.DRAWING_SAVED.format(name=name, file=file.name)
+        return messages.DRAWING_GONE.format(name=name)
 
     def _on_left(self) -> None:
         """Remove the results of removed images, and the tools if no image is left."""
@@ -252,9 +264,9 @@ class ViewerWatch:
         if self._session.image is None and self._session.study is None:
             self._pointer.leave()
             self.update_mouse_mode()
-        if self._removal_message:
-            self._guide.show_message(self._removal_message, why="step")
-            self._reports_removal, self._removal_message = True, ""
+        if message := self._pop_removal_message():
+            self._guide.show_message(message, why="step")
+            self._reports_removal = True
 
     # Mouse
 

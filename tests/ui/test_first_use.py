@@ -339,7 +339,7 @@ def test_a_message_reports_the_effect_of_a_removed_layer(widget, small_sample, s
     for layer, words in (
         (tissue, "'Tissue' was deleted with its stiffness values"),
         (boundary, "'Boundary' was deleted: it no longer holds or moves tissue."),
-        (image, "'MR' was deleted with the drawing on it"),
+        (image, "'MR' was deleted. Its drawing is kept"),
     ):
         viewer.layers.remove(layer)
         settle(widget)
@@ -347,16 +347,3 @@ def test_a_message_reports_the_effect_of_a_removed_layer(widget, small_sample, s
     viewer.add_image(np.ones((8, 9)), name="next")
     settle(widget)
     assert "was deleted" not in widget.status
-
-
-def test_a_message_reports_that_the_work_on_a_removed_image_is_kept(
-    widget, small_sample, settle, tmp_path
-):
-    viewer = widget._viewer
-    image, *_ = small_sample(viewer)
-    widget.drawing = Drawing((Arrow((10, 10), (1, 0), 3.0),))
-    settle(widget)
-    widget.session.unsaved.saved_files[widget.session.slice] = tmp_path / "kept.study"
-    viewer.layers.remove(image)
-    settle(widget)
-    assert "The work is kept" in widget.status

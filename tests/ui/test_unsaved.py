@@ -537,18 +537,53 @@ def test_the_offer_of_unsaved_work_is_whole_and_low(new_dock, left_behind, qtbot
 
 
 def test_unreadable_work_of_a_killed_process_can_be_discarded(new_dock, left_behind, monkeypatch):
-    file = left_behind(Study(Grid((20, 24), (1.0, 1.0)), motion=Motion(drawing=DRAWING)))
+    study = Study(Grid((20, 24), (1.0, 1.0)), motion=Motion(drawing=DRAWING))
+    older = [left_behind(study) for _ in range(2)]
+    for age, each in enumerate(older, 1):
+        os.utime(each, (0, -age))
+    file = left_behind(study)
     file.write_bytes(file.read_bytes()[:200])
     dock = new_dock(ViewerModel())
     thrown = []
     monkeypatch.setattr(QFile, "moveToTrash", lambda each: bool(thrown.append(each.fileName())))
     Screen(dock).press("Open it")
     assert "damaged" in dock.status
-    assert autosaved_files() == [file]
+    assert autosaved_files() == sorted([file, *older])
     Screen(dock).press("Discard")
     assert thrown == [str(file)], "the file was not moved to the trash"
+    assert autosaved_files() == sorted(older)
+    Screen(dock).press("Discard all")
+    assert thrown == [str(each) for each in (file, *older)]
     assert not autosaved_files()
     assert LEFT not in Screen(dock).words
+
+
+def test_work_on_a_deleted_image_is_offered_at_once_until_the_window_closes(
+    window, press_close, at_rest, tmp_path
+):
+    viewer, dock = window(name="knee", slices=0)
+    dock.drawing = DRAWING
+    viewer.layers.remove("knee")  # before the work is autosaved
+    at_rest.until(lambda: LEFT in Screen(dock).words)
+    assert "Its drawing is kept: 'Open it'" in dock.status
+    Screen(dock).press("Open it")
+    at_rest.until(lambda: not dock.busy)
+    assert (dock.image.name, dock.drawing, dock.unsaved) == ("knee", DRAWING, True)
+    assert LEFT not in Screen(dock).words
+    dock.save_study(tmp_path / "knee")
+    viewer.layers.remove(dock.image)
+    at_rest.until(lambda: "is saved in 'knee.study'" in dock.status)
+    assert LEFT not in Screen(dock).words, "saved work is offered"
+    viewer.add_image(np.full((64, 64), 90, np.uint8), name="hip")
+    at_rest.until(lambda: dock.image is not None and not dock.busy)
+    assert "knee" not in dock.status
+    dock.drawing = OTHER
+    viewer.layers.remove("hip")
+    at_rest.until(lambda: LEFT in Screen(dock).words)
+    asked = Answers(dock)
+    assert press_close(dock)
+    assert asked.questions == []
+    assert not autosaved_files(), "work on an image deleted on purpose stays"
 
 
 def test_marks_on_tissue_without_an_image_are_saved_before_closing(frame, at_rest, tmp_path):
