@@ -6,9 +6,10 @@ when the workaround is no longer needed.
 
 from __future__ import annotations
 
+import sys
 import weakref
-from collections.abc import Collection
-from contextlib import suppress
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import numpy as np
@@ -128,6 +129,35 @@ def hide_in_list(viewer: Any, layer: Any) -> None:
         model = rows.model()
         index = model.sourceModel().index(viewer.layers.index(layer), 0)
         rows.setRowHidden(model.mapFromSource(index).row(), True)
+
+
+@contextmanager
+def without_stray_windows() -> Iterator[None]:
+    """Add layers inside the block without windows that appear for a moment.
+
+    When the controls of a Vectors layer are created, napari 0.9 shows two of their widgets before
+    the widgets have a parent, so that each of them opens a window.
+    """
+    # Private: the controls are created while the layer is inserted.
+    module = sys.modules.get("napari._qt.layer_controls.widgets._vectors.qt_edge_color")
+    control = getattr(module, "QtEdgeColorFeatureControl", None)
+    show = getattr(control, "_update_edge_color_gui", None)
+    if show is None:  # there is no window, or this version of napari has other controls
+        yield
+        return
+
+    def hide(self: Any, mode: str) -> None:
+        """Hide the widgets that the mode does not use; the others appear with their parent."""
+        is_direct = mode == "direct"
+        by_feature = self.color_feature_box, self.edge_feature_label
+        for part in by_feature if is_direct else (self.edge_color_edit, self.edge_color_label):
+            part.setHidden(True)
+
+    control._update_edge_color_gui = hide  # type: ignore[union-attr]
+    try:
+        yield
+    finally:
+        control._update_edge_color_gui = show  # type: ignore[union-attr]
 
 
 def fade(viewer: Any, layer: Any, share: float) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -13,6 +13,7 @@ import numpy.typing as npt
 from napari.layers import Labels
 
 from napari_hmrf.field.frame import PLACE
+from napari_hmrf.layers.compat import without_stray_windows
 from napari_hmrf.layers.field_layer import MOVED
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, metadata_of, role_of
 from napari_hmrf.layers.result_layers import LayerData
@@ -159,11 +160,8 @@ class ViewerLayers:
         if hides:
             layer.visible = True
         at = len(layers) if at is None else at
-        if select:
+        with nullcontext() if select else self.same_selection(), without_stray_windows():
             layers.insert(at, layer)
-        else:
-            with self.same_selection():
-                layers.insert(at, layer)
         if hides:
             self.want(layer, wanted=False)
 

@@ -7,8 +7,11 @@ import pytest
 from napari.components import ViewerModel
 from napari.layers import Labels, Vectors
 from napari.utils._proxies import PublicOnlyProxy
+from qtpy.QtCore import QEvent, QObject
+from qtpy.QtWidgets import QApplication, QLabel, QWidget
 
 from napari_hmrf.layers import compat
+from napari_hmrf.layers.viewer_layers import layers_of
 
 
 def test_the_viewer_behind_a_proxy_is_found():
@@ -74,6 +77,34 @@ def test_a_thumbnail_of_vectors_shows_a_limited_number(monkeypatch):
     compat.thin_thumbnail(layer, 8)
     layer.refresh()
     assert drawn == [8]
+
+
+class Windows(QObject):
+    """Counter of the windows that appear."""
+
+    def __init__(self):
+        super().__init__()
+        self.count = 0
+        QApplication.instance().installEventFilter(self)
+
+    def eventFilter(self, watched, event):
+        if event.type() == QEvent.Type.Show and isinstance(watched, QWidget):
+            self.count += watched.isWindow()
+        return False
+
+
+def test_no_window_appears_for_a_moment_with_a_new_vectors_layer(unstyled, make_napari_viewer):
+    viewer, windows = make_napari_viewer(), Windows()
+    viewer.add_vectors(np.ones((3, 2, 2)))
+    stray = windows.count  # as napari adds layers
+    layer = Vectors(np.ones((3, 2, 2)), edge_color="red")
+    layers_of(viewer).add(layer, select=True)
+    assert windows.count == stray
+    assert bool(stray) == hasattr(viewer, "canvas"), "napari has changed: see the workaround"
+    controls = viewer.window._qt_viewer.controls.widgets[layer]
+    shown = {label.text() for label in controls.findChildren(QLabel) if not label.isHidden()}
+    assert "edge color:" in shown
+    assert "edge feature:" not in shown
 
 
 def test_nodes_of_layers_are_found_outlined_and_faded_in_a_window(unstyled, make_napari_viewer):
