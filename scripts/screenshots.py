@@ -379,7 +379,7 @@ def sliding() -> None:
     window = Window()
     window.open_sample(SLIDING)
     form = window.form
-    window.click(form.footer.deform)
+    window.dock.deform()
     window.wait_for_solution()
     window.keep("tutorials/images/sliding-moved")
     table = form.tissue.table

@@ -226,12 +226,14 @@ class Window:
     def show(self, widget: Any) -> None:
         """Open the section of a widget, and scroll to the widget."""
         native = getattr(widget, "native", widget)
-        area = native.parent()
+        area, closed = native.parent(), []
         while area is not None and not hasattr(area, "ensureWidgetVisible"):
             if isinstance(area, QCollapsible) and not area.isExpanded():
-                self._click(area.toggleButton())
-                wait(1.0)  # the section opens gradually
+                closed.append(area)
             area = area.parent()
+        for section in reversed(closed):  # a section may be inside another one
+            self._click(section.toggleButton())
+            wait(1.0)  # the section opens gradually
         if area is not None:
             area.ensureWidgetVisible(native)
             wait(0.1)

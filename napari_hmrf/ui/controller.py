@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 from dataclasses import replace
 from typing import Any
 
@@ -110,7 +109,7 @@ class Controller:
             native, form.footer, self.jobs, self.engine, lambda: self._is_working
         )
         self.curve_layer = CurveLayer(viewer, form.tissue.editor)
-        form.footer.live.changed.connect(self.schedule_refresh)
+        form.model.in_detail.live.changed.connect(self.schedule_refresh)
         pointer.drawn.connect(self._on_drawn)
 
     # State
@@ -292,7 +291,6 @@ class Controller:
             self._submitted = None
             self.pointer.select_slice(study, source)
             self.latest_changed.emit()
-            self.form.footer.live.judge(math.prod(study.grid.shape[-2:]))
             self.engine.rehearse(study)
             self.slice_changed.emit(study)
         ways = directions_of(place.known_place, self._viewer)

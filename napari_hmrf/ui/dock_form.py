@@ -11,7 +11,7 @@ from typing import Any
 
 from magicgui.widgets import Container, PushButton
 from psygnal import Signal
-from qtpy.QtCore import Qt
+from qtpy.QtCore import QPoint, Qt
 from qtpy.QtWidgets import (
     QAbstractSlider,
     QAbstractSpinBox,
@@ -47,7 +47,7 @@ _SECTIONS = {
         "Kinds of tissue and their stiffness: painted, or derived from brightness",
     ),
     "edges": (
-        "Edges, rules, gravity",
+        "Boundary and gravity",
         "Outer edge, painted regions that are held or moved, landmark layers, weight, and cavities",
     ),
     "comparison": (
@@ -100,7 +100,7 @@ class DockForm:
         self.carry_over = CarryOverForm()
         self.make = PushButton(
             text=NEW_TISSUE,
-            tooltip="Add an empty tissue layer, and an empty boundary layer for 'Edges, rules, "
+            tooltip="Add an empty tissue layer, and an empty boundary layer for 'Boundary and "
             "gravity', on the pixels of the image; a layer that is in use is kept",
         )
         self.intensity = PushButton(
@@ -182,7 +182,7 @@ class DockForm:
                 inner.setContentsMargins(0, 0, 0, 0)
             step.addWidget(part.native)
             remember_open(step, name)
-            layout.addWidget(step)
+            (parts["model"].native.layout() if name == "advanced" else layout).addWidget(step)
             step.opened.connect(single_shot(step, 0, partial(self._scroll_to, step)).start)
         layout.setSpacing(4)
         layout.addStretch()
@@ -227,8 +227,8 @@ class DockForm:
     def _scroll_to(self, step: Section) -> None:
         """Scroll until all of an opened section is visible, or at least its top."""
         bar = self._scroll.verticalScrollBar()
-        least = step.geometry().bottom() + 1 - bar.pageStep()
-        bar.setValue(min(step.y(), max(bar.value(), least)))
+        top = step.mapTo(self._scroll.widget(), QPoint(0, 0)).y()
+        bar.setValue(min(top, max(bar.value(), top + step.height() - bar.pageStep())))
 
     def _on_tissue(self) -> None:
         by_brightness = self.tissue.curve is not None

@@ -161,8 +161,8 @@ class DockValues(Dock):
         "Second image, shown over the deformed image, or None.",
     )
     live = _Chosen[bool](
-        "_form.footer.live.value",
-        "True if every edit updates the result; the default depends on the size of the image.",
+        "_form.model.in_detail.live.value",
+        "True if every edit updates the result.",
     )
     prompt = _Chosen[Prompt](
         "_unsaved.prompt",

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from qtpy.QtCore import QEvent, QObject
-from qtpy.QtWidgets import QLabel, QScrollArea, QWidget
+from qtpy.QtWidgets import QApplication, QLabel, QScrollArea, QWidget
 
 _FONT_EVENTS = (QEvent.Type.FontChange, QEvent.Type.StyleChange, QEvent.Type.Show)
 
@@ -68,6 +68,9 @@ class LabelAligner(QObject):
 class WidthFitter(QObject):
     """Event filter that makes a scroll area as wide as its contents, because it scrolls vertically.
 
+    Closed sections count as well. Qt measures hidden widgets in the default font until they are
+    polished, so that without this the dock would become wider at a later time.
+
     Parameters
     ----------
     area : QScrollArea
@@ -81,13 +84,24 @@ class WidthFitter(QObject):
         area.widget().installEventFilter(self)
 
     def eventFilter(self, contents: Any, event: Any) -> bool:
-        """Fit the width after each change of the layout."""
-        if event.type() == QEvent.Type.LayoutRequest:
-            area, bar = self._area, self._area.verticalScrollBar()
-            beside = bar.sizeHint().width()
-            if bar.isVisible():  # a style sheet may add a frame
-                beside = area.width() - area.viewport().width()
+        """Fit the width after each change of the layout, and measure what is hidden."""
+        if event.type() in _FONT_EVENTS:
+            _measure_hidden(contents)
+        elif event.type() == QEvent.Type.LayoutRequest:
+            area = self._area
+            beside = area.verticalScrollBar().sizeHint().width() + 2 * area.frameWidth()
             width = max(self._least, contents.minimumSizeHint().width() + beside)
             if width != area.minimumWidth():
                 area.setMinimumWidth(width)
         return False
+
+
+def _measure_hidden(contents: QWidget) -> None:
+    """Polish the hidden widgets inside a widget, and let their forms align the labels."""
+    hidden = [each for each in contents.findChildren(QWidget) if not each.isVisible()]
+    for each in hidden:
+        each.ensurePolished()
+    for each in reversed(hidden):  # the innermost layouts first
+        if (layout := each.layout()) is not None:
+            layout.invalidate()
+            QApplication.sendEvent(each, QEvent(QEvent.Type.LayoutRequest))

@@ -4,16 +4,24 @@ from __future__ import annotations
 
 from typing import Any
 
-from magicgui.widgets import CheckBox, Container, PushButton
+from magicgui.widgets import Container, PushButton
 from qtpy.QtCore import Qt
-from qtpy.QtWidgets import QHBoxLayout, QPushButton, QSizePolicy, QVBoxLayout, QWhatsThis, QWidget
+from qtpy.QtWidgets import (
+    QHBoxLayout,
+    QMenu,
+    QPushButton,
+    QSizePolicy,
+    QVBoxLayout,
+    QWhatsThis,
+    QWidget,
+)
 
 from napari_hmrf.layers.viewer_undo import ViewerUndo
 from napari_hmrf.ui.forms import ElidedButton, FixedText, row
-from napari_hmrf.ui.messages import DEFORM, LIVE_OFF, PRECISELY
+from napari_hmrf.ui.messages import DEFORM
 
 #: Number of lines of the status.
-_LINES = 2
+_LINES = 3
 #: Dark text on amber: legible on napari's dark and light themes.
 _CHIP = "background: #ffb454; color: #1d1d1d; border-radius: 8px; padding: 4px;"
 _HELP = (
@@ -24,14 +32,13 @@ _HELP = (
     "In a Labels layer of napari: 2 paints, 1 erases, 3 draws an outline, 4 fills.\n"
     "Ctrl+Z: undo. Ctrl+Shift+Z: redo. Ctrl+Shift+P: search all commands.\n"
 )
-#: Largest image, in pixels, for which *Live* is on by default. On two cores without a GPU, an
-#: update takes 0.4 s (elastic) to 1.4 s for 1200 x 1200 pixels, and 1.6 s to 5 s for 2048 x 2048
-#: pixels.
-LARGEST = 1200 * 1200
-_LIVE = (
-    "Update the result after every edit to tissue, boundary or tables. Tools always update it.\n"
-    "Off by default above 1200 x 1200 pixels: without a graphics card, each edit takes seconds."
-)
+#: Entries of the menu *Clear*, with their tooltips.
+_CLEAR = {
+    "Remove the selected mark": "Also: the Delete key. Shift+click selects a mark.",
+    "Remove all marks": "Remove all marks of this slice or volume",
+    "Reset the study ...": "Remove all marks of this study and restore the default settings, after "
+    "a question; layers and tables are kept. Undo restores everything.",
+}
 
 
 class Footer(QWidget):
@@ -48,12 +55,16 @@ class Footer(QWidget):
 
     Attributes
     ----------
-    deform, cancel : PushButton
-    live : LiveChoice
+    deform : PushButton
+        Button that solves; visible unless every edit is solved at once.
+    cancel : PushButton
+        Button that stops the work; visible during work that takes long.
     undo, redo : PushButton
         Buttons; the tooltip names the step to undo or redo.
-    reset : PushButton
-        Button that removes the marks and restores the default settings.
+    clear : QPushButton
+        Button of the menu with the next three entries.
+    remove, remove_all, reset : QAction
+        Entries that remove the selected mark, remove all marks, and reset the study.
     chip : QPushButton
         Warning about the visible tissue; hidden if there is no warning.
     other : QPushButton
@@ -68,16 +79,20 @@ class Footer(QWidget):
             "stops before the tissue is fully there, the earlier result is kept.",
         )
         self.cancel = PushButton(text="Cancel", tooltip="Stop computing; nothing is changed")
-        self.cancel.enabled = False
-        self.live = LiveChoice()
+        policy = self.cancel.native.sizePolicy()
+        policy.setRetainSizeWhenHidden(True)
+        self.cancel.native.setSizePolicy(policy)
         self.undo = PushButton(text="Undo", enabled=False)
         self.redo = PushButton(text="Redo", enabled=False)
-        self.reset = PushButton(
-            text="Reset",
-            enabled=False,
-            tooltip="Remove all marks of this study and restore the default settings, after a "
-            "question; layers and tables are kept. Undo restores everything.",
-        )
+        self.clear = QPushButton("Clear")
+        self.clear.setToolTip("Remove marks, or reset the study")
+        entries = QMenu(self.clear)
+        entries.setToolTipsVisible(True)
+        self.remove, self.remove_all, self.reset = (entries.addAction(each) for each in _CLEAR)
+        for entry, about in zip(entries.actions(), _CLEAR.values(), strict=True):
+            entry.setToolTip(about)
+            entry.setEnabled(False)
+        self.clear.setMenu(entries)
         self.help = PushButton(text="?", tooltip=_HELP + tools)
         self.help.native.setFixedWidth(28)
         self.help.native.setAccessibleName("Help")
@@ -89,12 +104,9 @@ class Footer(QWidget):
         layout.setContentsMargins(2, 2, 2, 2)
         layout.setSpacing(2)
         # Keep a reference, because magicgui deletes unreferenced containers.
-        self._rows = (
-            row(self.undo, self.redo, self.reset, self.live, self.help),
-            row(self.deform, self.cancel),
-            files,
-            result,
-        )
+        steps = row(self.undo, self.redo, self.cancel, self.help)
+        steps.native.layout().insertWidget(2, self.clear)
+        self._rows = (steps, row(self.deform), files, result)
         self.chip.setStyleSheet(_CHIP)
         self.chip.hide()
         self.other.hide()
@@ -105,8 +117,7 @@ class Footer(QWidget):
         for part in (result.native, self._warnings(), *below):
             layout.addWidget(part)
         self.help.changed.connect(self._show_help)
-        self.live.native.toggled.connect(self._name_deform)
-        self._name_deform()
+        self.show_update(False)
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
 
     def _warnings(self) -> QWidget:
@@ -138,9 +149,9 @@ class Footer(QWidget):
         middle = button.mapToGlobal(button.rect().center())
         QWhatsThis.showText(middle, self.help.tooltip, button)  # stays until a click or a key press
 
-    def _name_deform(self, *_: object) -> None:
-        """Name the button that solves: with *Live*, there already is a result."""
-        self.deform.text = PRECISELY if self.live.value else DEFORM
+    def show_deform(self, is_shown: bool) -> None:
+        """Show the button that solves, if edits are not solved at once."""
+        self._rows[1].visible = is_shown
 
     def explain(self, technical: str) -> None:
         """Show technical details below the status in its tooltip."""
@@ -160,35 +171,11 @@ class Footer(QWidget):
         self.other.setToolTip(about)
 
     def show_work(self, is_working: bool) -> None:
-        """Enable "Cancel" while a solve is in progress, otherwise "Deform"."""
+        """Show "Cancel" while a solve is in progress; otherwise, enable "Deform"."""
         self.deform.enabled = not is_working
         self.show_update(is_working)
 
     def show_update(self, is_working: bool) -> None:
-        """Enable "Cancel" during an update after an edit; offers wait for its result."""
-        self.cancel.enabled = is_working
+        """Show "Cancel" during an update after an edit; offers wait for its result."""
+        self.cancel.visible = self.cancel.enabled = is_working
         self.other.setEnabled(not is_working)
-
-
-class LiveChoice(CheckBox):
-    """Check box that enables a solve after every edit; on by default unless the image is large."""
-
-    def __init__(self) -> None:
-        super().__init__(value=True, text="Live", tooltip=_LIVE)
-        # True once the user has clicked the box, or a script has set it.
-        self._decided = False
-        self.changed.connect(self._on_changed)
-
-    def judge(self, pixels: int) -> None:
-        """Set the default for this number of pixels, unless the value was set before."""
-        if not self._decided:
-            self.value = pixels <= LARGEST
-            self._decided = False
-
-    @property
-    def reason(self) -> str:
-        """Message if the box is off because the image is large, else ""."""
-        return "" if self._decided or self.value else LIVE_OFF
-
-    def _on_changed(self, _: bool) -> None:
-        self._decided = True

@@ -75,7 +75,7 @@ class FormBinding:
             **{each.name: each for each in motion.switches},
         }
         self.display: dict[str, Any] = {
-            "live": form.footer.live,
+            "live": form.model.in_detail.live,
             "device": form.model.in_detail.device,
             "overlay": form.result.overlay,
         }

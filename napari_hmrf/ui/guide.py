@@ -57,7 +57,8 @@ class Guide:
         controller.progress.doing.connect(self._on_doing)
         pointer.changed.connect(self._on_tool)
         changes = (controller.slice_changed, controller.latest_changed)
-        for signal in (*changes, form.result.overlay.changed, form.model.model.changed):
+        chosen = form.result.overlay, form.model.model, form.model.in_detail.live
+        for signal in (*changes, *(each.changed for each in chosen)):
             signal.connect(self.show)
         controller.result_drawn.connect(self._on_followed)
         self._session = undo.session
@@ -102,7 +103,6 @@ class Guide:
             or len(place.plane) == 2
             or shows_volume(place, self._controller.view),
             is_live=self._session.display.live,
-            live_reason=form.footer.live.reason,
             tool=tool.hint if is_active else "",
             tool_in_plane=tool.flat_hint,
             follows_surface=tool.follows_surface,
@@ -111,7 +111,6 @@ class Guide:
             is_painting=result is not None
             and result.is_before
             and layer_painted(viewer) is not None,
-            deform=form.footer.deform.text,
             latest=self._session.result_here,
             overlay=self._chip.overlay,
             model=self._session.model,
@@ -156,13 +155,16 @@ class Guide:
         if changed & {"new_layer", "can_add"}:
             form.make.text, form.make.enabled = scene.new_layer, scene.can_add
         if "has_study" in changed:
-            for button in (form.intensity, form.result.keep, form.footer.reset):
+            for button in (form.intensity, form.result.keep):
                 button.enabled = scene.has_study
+            form.footer.reset.setEnabled(scene.has_study)
+        if "is_live" in changed:
+            form.footer.show_deform(not scene.is_live)
         if "obstacle" in changed:
             form.motion.show_obstacle(scene.obstacle)
         if changed & {"can_remove", "can_clear"}:
-            form.motion.remove.enabled = scene.can_remove
-            form.motion.clear.enabled = scene.can_clear
+            form.footer.remove.setEnabled(scene.can_remove)
+            form.footer.remove_all.setEnabled(scene.can_clear)
         if changed & {"warning", "short_warning"}:
             form.footer.warn(scene.warning, scene.short_warning)
         if "offer" in changed:

@@ -24,9 +24,9 @@ from napari_hmrf.study.session import ModelChoice
 from napari_hmrf.study.support import can_unfold
 from napari_hmrf.ui.window_words import in_window_words
 
-#: Labels of the button that solves from a cold start, without and with *Live*.
+#: Labels of the button and of the menu entry that solve from a cold start, without and with *Live*.
 DEFORM, PRECISELY = "Deform", "Solve precisely"
-#: The same button in a message, which is shown with the present label; see `with_button`.
+#: The button or entry in a message; see `with_button`.
 BUTTON = "[Deform]"
 #: Kinds of messages: tissue does not move, and a file was saved.
 NO_MOTION, SAVED = "no motion", "saved"
@@ -53,11 +53,6 @@ KEPT_RESULT = (
 BEHIND = (
     "Cancelled: the picture and the warnings do not include the last edits. "
     f"Press {BUTTON} to update them."
-)
-#: Message if *Live* is off by default.
-LIVE_OFF = (
-    "'Live' is off, because the image is larger than 1200 x 1200 pixels: after an edit without a "
-    f"tool, press {BUTTON}, or tick 'Live'."
 )
 #: Messages about a result that is missing, or that lacks an input.
 LOST = (
@@ -145,9 +140,9 @@ def no_image(*, has_layers: bool) -> str:
     return CHOOSE if has_layers else WELCOME
 
 
-def with_button(text: str, label: str) -> str:
-    """Return a message with the present label of the button that solves from a cold start."""
-    return text.replace(BUTTON, label if label == DEFORM else f"'{label}'")
+def with_button(text: str, is_live: bool) -> str:
+    """Return a message with the button, or with *Live* the entry, that solves from a cold start."""
+    return text.replace(BUTTON, f"'{PRECISELY}' under 'More'" if is_live else DEFORM)
 
 
 def report(done: CompleteResult, *, unfolded: bool = False) -> str:

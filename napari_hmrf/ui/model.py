@@ -39,6 +39,10 @@ _DEVICES = {
     "opengl:compute": "OpenGL, compute",
     "cpu": "CPU",
 }
+_ABOUT_LIVE = (
+    "Update the result after every edit to tissue, boundary or tables. Without it, press 'Deform' "
+    "after the edits; tools always update the result"
+)
 _ABOUT_DEVICE = "Automatic: the graphics card if there is one, otherwise compiled loops on the CPU"
 _ABOUT_STRAIN = (
     "Strain that is usual for this tissue, against which landmarks with an uncertainty (±) are "
@@ -62,8 +66,14 @@ class DetailsForm(Form):
 
     Attributes
     ----------
+    strain : FloatSpinBox
+        Typical strain of elastic tissue, in percent.
+    drift : CheckBox
+        Ticked if an affine drift is estimated with uncertain landmarks.
     device : ComboBox
         Argument `backend` of `solve`, which is the same for all images.
+    live : CheckBox
+        Ticked if every edit is solved at once.
     """
 
     def __init__(self) -> None:
@@ -72,8 +82,21 @@ class DetailsForm(Form):
             create_widget(each.default, hints[each.name], each.name, **each.metadata)
             for each in fields(SolverDetails)
         ]
+        self.strain = number(
+            "typical strain (%)",
+            _ABOUT_STRAIN,
+            name="strain",
+            min=_STRAINS[0],
+            max=_STRAINS[1],
+            step=1.0,
+            value=100 * StrainScale.strain,
+        )
+        self.drift = CheckBox(name="drift", text="affine drift", tooltip=_ABOUT_DRIFT)
         self.device = menu("device", _DEVICES, _ABOUT_DEVICE, name="device")
-        super().__init__([*made, self.device])
+        self.live = CheckBox(
+            name="live", value=True, text="Live: update after every edit", tooltip=_ABOUT_LIVE
+        )
+        super().__init__([self.strain, self.drift, *made, self.device, self.live])
         self["penalty"].native.setSpecialValueText("automatic")
         self["grip"].native.setSpecialValueText("by confidence")
         self["grip"].native.setDecimals(4)
@@ -118,12 +141,8 @@ class ModelForm(Container):
         ratios are in the tissue table.
     unfolds : CheckBox
         Ticked if large motion takes the place of the elastic model where tissue folds.
-    strain : FloatSpinBox
-        Typical strain of elastic tissue, in percent.
-    drift : CheckBox
-        Ticked if an affine drift is estimated with uncertain landmarks.
     in_detail : DetailsForm
-        Solver settings, in a separate section of the dock.
+        Further settings, in a section inside that of the model.
     """
 
     def __init__(self) -> None:
@@ -152,16 +171,6 @@ class ModelForm(Container):
             step=0.05,
             value=USUAL_POISSON,
         )
-        self.strain = number(
-            "typical strain (%)",
-            _ABOUT_STRAIN,
-            name="strain",
-            min=_STRAINS[0],
-            max=_STRAINS[1],
-            step=1.0,
-            value=100 * StrainScale.strain,
-        )
-        self.drift = CheckBox(name="drift", text="affine drift", tooltip=_ABOUT_DRIFT)
         self.unfolds = CheckBox(
             name="unfolds",
             value=True,
@@ -169,8 +178,7 @@ class ModelForm(Container):
             tooltip=_ABOUT_UNFOLDS,
         )
         self._when = Prose()
-        fields = [self.model, self.unfolds, self.plane, self.poisson, self.strain, self.drift]
-        self._form = Form(fields)
+        self._form = Form([self.model, self.unfolds, self.plane, self.poisson])
         super().__init__(widgets=[self._form, self._when], labels=False)
         self.in_detail = DetailsForm()
         self._tissue: Any = None
@@ -179,26 +187,28 @@ class ModelForm(Container):
         # A menu emits no change when the current model is chosen again.
         self.model.native.activated.connect(lambda _: self._on_model(self.model.value))
         self.plane.changed.connect(self._show)
-        self.drift.changed.connect(self._show)
+        self.in_detail.drift.changed.connect(self._show)
         self._show()
 
     @property
     def choice(self) -> ModelChoice:
         """Chosen model and settings."""
-        form = self._form.asdict()
-        parts = form["model"], form["plane"], form["poisson"], self.in_detail.details
-        strain = round(form["strain"] / 100, _DECIMALS)
-        of_elastic = {name: form[name] for name in ("drift", "unfolds")}
+        form, detail = self._form.asdict(), self.in_detail
+        parts = form["model"], form["plane"], form["poisson"], detail.details
+        strain = round(detail.strain.value / 100, _DECIMALS)
+        of_elastic = {"drift": detail.drift.value, "unfolds": form["unfolds"]}
         return ModelChoice(*parts, strain=strain, **of_elastic)
 
     @choice.setter
     def choice(self, choice: ModelChoice) -> None:
         values = {"model": choice.name, "plane": choice.plane, "poisson": choice.poisson}
-        low, high = _STRAINS
-        values |= {"strain": min(max(100 * choice.strain, low), high), "drift": choice.drift}
         values["unfolds"] = choice.unfolds  # last, because a new model resets it
         self._form.update(values)
-        self.in_detail.details = choice.details
+        detail, (low, high) = self.in_detail, _STRAINS
+        with detail.changed.blocked():
+            detail.strain.value = min(max(100 * choice.strain, low), high)
+            detail.drift.value = choice.drift
+        detail.details = choice.details
 
     @property
     def is_elastic(self) -> bool:
@@ -229,8 +239,10 @@ class ModelForm(Container):
         self.plane.visible = self.is_elastic and not self._volume
         self.poisson.visible = self.is_elastic and isinstance(self._tissue, Image)
         self.unfolds.visible = self.is_elastic
-        self.strain.visible = self.is_elastic
+        detail = self.in_detail
+        for field in detail:
+            is_general = field is detail.device or field is detail.live
+            field.visible = is_general or field.name in detail_names(model)
+        detail.strain.visible = self.is_elastic
         # A drift that another model refuses can be switched off.
-        self.drift.visible = model == "elastic" or (self.is_elastic and self.drift.value)
-        for field in self.in_detail:
-            field.visible = field is self.in_detail.device or field.name in detail_names(model)
+        detail.drift.visible = model == "elastic" or (self.is_elastic and detail.drift.value)

@@ -112,8 +112,6 @@ class Situation:
         True if the view is in 3-D, the extent is the whole volume, the image has slices, and the
         view shows the volume of the latest result.
     is_live : bool
-    live_reason : str
-        Why *Live* is off, or "".
     tool : str
         Hint of the tool that draws now; "" if the mouse does not draw.
     tool_in_plane : str
@@ -126,8 +124,6 @@ class Situation:
         How to continue drawing, if it has stopped, or "".
     is_painting : bool
         True while the deformed image is hidden because the user paints.
-    deform : str
-        Label of the button that solves from a cold start.
     latest : CompleteResult, optional
         Latest result of the current slice or volume.
     overlay : str
@@ -148,14 +144,12 @@ class Situation:
     has_slices: bool = False
     sees_volume: bool = True
     is_live: bool = True
-    live_reason: str = ""
     tool: str = ""
     tool_in_plane: str = ""
     follows_surface: bool = False
     introduction: str = ""
     paused: str = ""
     is_painting: bool = False
-    deform: str = messages.DEFORM
     latest: CompleteResult | None = None
     overlay: str = ""
     model: ModelChoice = field(default_factory=ModelChoice)
@@ -182,8 +176,7 @@ class Situation:
             return self.obstacle
         unheld = "" if self.latest is None else messages.unheld_warning(self.latest.notes)
         step = self.paused or self._step
-        text = " ".join(filter(None, (unheld, step, self.live_reason)))
-        return messages.with_button(text, self.deform)
+        return messages.with_button(" ".join(filter(None, (unheld, step))), self.is_live)
 
     @property
     def _step(self) -> str:
@@ -204,6 +197,8 @@ class Scene:
     Attributes
     ----------
     status : str
+    is_live : bool
+        True if every edit is solved at once.
     new_layer : str
         Label of the button that adds layers for painting.
     can_add : bool
@@ -221,6 +216,7 @@ class Scene:
     """
 
     status: str
+    is_live: bool
     new_layer: str
     can_add: bool
     has_study: bool
@@ -238,7 +234,8 @@ def resolve(situation: Situation, status: Status) -> Scene:
     if latest is not None:
         warnings = messages.warnings_of(latest, situation.overlay)
     return Scene(
-        status=messages.with_button(_text(situation, status), situation.deform),
+        status=messages.with_button(_text(situation, status), situation.is_live),
+        is_live=situation.is_live,
         new_layer=NEW_TISSUE if situation.lacks_tissue else NEW_BOUNDARY,
         can_add=situation.has_image and (situation.lacks_tissue or situation.lacks_boundary),
         has_study=situation.has_image or situation.is_painted,

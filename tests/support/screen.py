@@ -8,10 +8,12 @@ from qtpy.QtTest import QTest
 from qtpy.QtWidgets import (
     QAbstractButton,
     QAbstractSlider,
+    QAbstractSpinBox,
     QApplication,
     QComboBox,
     QLabel,
     QLineEdit,
+    QScrollBar,
     QTableView,
 )
 
@@ -74,6 +76,13 @@ class Screen:
             (action,) = (each for each in menu.actions() if each.text().startswith(step))
             menu = action.menu()
         return action
+
+    @property
+    def controls(self):
+        """Visible controls: buttons, boxes, fields, sliders and tables."""
+        kinds = QAbstractButton, QComboBox, QAbstractSpinBox, QAbstractSlider, QTableView
+        found = [each for kind in kinds for each in self._native.findChildren(kind)]
+        return [each for each in found if each.isVisible() and not isinstance(each, QScrollBar)]
 
     @property
     def slider(self):

@@ -31,6 +31,8 @@ from tests.support.long_work import long_work
 from tests.support.screen import Screen, head
 from tests.support.timeouts import LONG_MS
 
+#: Largest number of visible controls at the start; a slider and its number count as two.
+_AT_START = 24
 CTRL, SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
 #: Size of a small screen without the bars of desktop and window.
 ROOM = (1366, 700)
@@ -150,18 +152,25 @@ def test_the_dock_fits_on_a_small_screen_without_cut_texts(
     assert native.minimumSizeHint().height() <= ROOM[1]
     assert (native.width(), native.height()) == ROOM
     form, footer, result = found._form, found._form.footer, found._form.result
-    most_fields = max(form.motion.tools, key=lambda name: len(BY_NAME[name].fields))
+    screen, most_fields = Screen(found), max(TOOLS, key=lambda tool: len(tool.fields)).name
+    assert len(screen.controls) <= _AT_START, [each.toolTip() for each in screen.controls]
+    width = found.native.width()
     for name in ("pull", most_fields):
         found.tool = name
         at_rest(thread=False)
-        fields = [getattr(found.fields, each) for each in BY_NAME[name].fields]
+        fields = [getattr(found.fields, each) for each in BY_NAME[name].fields if name != "pull"]
         strip = [result.play, result.slider, result.before, result.overlay]
-        strip += [footer.undo, footer.redo, footer.live, footer.reset, result.keep]
-        shown = [each.native for each in (form.image, *fields, *strip)] + [result.how_far]
+        strip += [footer.undo, footer.redo, result.keep, found.fields.radius]
+        shown = [each.native for each in (form.image, *fields, *strip)]
+        shown += [result.how_far, footer.clear, form.motion.more]
         titles = [each for each in form.sections.values() if each.isVisible() and name == "pull"]
-        for part in (*form.motion.tools.values(), *shown, *titles):
+        tools = [*form.motion.tools.values()][: 4 if name == "pull" else None]
+        for part in (*tools, *shown, *titles):
             assert part.visibleRegion().boundingRect() == part.rect(), (name, part)
-    screen = Screen(found)
+    screen.press("Model")
+    at_rest.until(lambda: form.model.plane.native.isVisible())
+    assert found.native.width() == width, "the dock changes its width"
+    screen.press("Model")
     found._viewer.layers["MR"].data = np.arange(1600, dtype=np.float32).reshape(40, 40)
     screen.press("Tissue and stiffness")
     screen.press("Tissue from brightness")
@@ -176,7 +185,7 @@ def test_the_dock_fits_on_a_small_screen_without_cut_texts(
     small_sample(found._viewer)
     found.image = found._viewer.layers["MR [1]"]
     found.rules = (*found.rules, BoundaryRule(3, "expand", amount=-2.5))
-    screen.press("Edges, rules, gravity")
+    screen.press("Boundary and gravity")
     at_rest(thread=False)
     for table in form.tables:
         assert_headers_not_cut(table)

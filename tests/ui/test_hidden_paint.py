@@ -136,7 +136,7 @@ def test_the_deformed_image_returns_when_painting_ends(painted, settle):
         "play": lambda: screen.press("Play"),
         "overlay": lambda: setattr(widget, "overlay", "magnitude"),
         "eye": lambda: setattr(widget.tissue, "visible", False),
-        "deform": lambda: screen.press("Solve precisely"),
+        "deform": lambda: screen.entry("More", "Solve precisely").trigger(),
     }
     for end, act in actions.items():
         screen.click_row("air")

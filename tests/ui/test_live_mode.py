@@ -195,9 +195,12 @@ def test_an_undo_with_a_cancelled_solve_remains_and_is_reported_until_deform(
     assert not widget.drawing.marks
     assert widget.solution.displacement.any()
     assert metadata_of(picture)["inputs_changed"]
-    assert "warnings do not include the last edits. Press 'Solve precisely'" in widget.status
+    assert (
+        "warnings do not include the last edits. Press 'Solve precisely' under 'More'"
+        in widget.status
+    )
     assert "nothing was changed" not in widget.status
-    Screen(widget).press("Solve precisely")
+    Screen(widget).entry("More", "Solve precisely").trigger()
     settle(widget)
     assert not widget.solution.displacement.any()
     assert widget.status == STILL
@@ -205,7 +208,10 @@ def test_an_undo_with_a_cancelled_solve_remains_and_is_reported_until_deform(
 
 def test_edits_are_followed_only_while_live_mode_is_on(live_dock, settle):
     widget, (_, _, boundary) = live_dock
+    deform = Screen(widget).button("Deform")
+    assert deform.isHidden() or deform.parent().isHidden(), "there is nothing to press"
     widget.live = False
+    assert not deform.parent().isHidden()
     before = widget.solution
     paint(boundary, [(row, 12) for row in range(6, 14)], 1)
     settle(widget)
@@ -253,22 +259,6 @@ def test_another_image_is_solved_as_soon_as_it_is_chosen(live_dock, small_sample
     assert np.abs(expected - there.displacement).max() > 0.5, (
         "the boundary of the other image was used"
     )
-
-
-@pytest.mark.parametrize(("size", "followed"), [((1200, 1200), True), ((1200, 1201), False)])
-def test_live_mode_is_on_up_to_1200_by_1200_pixels_and_can_be_switched_on(
-    widget, at_rest, size, followed
-):
-    check = widget._form.footer.live
-    check._decided = False
-    widget.image = viewer_of(widget).add_image(np.zeros(size, np.uint8))
-    at_rest()
-    assert widget.live is followed
-    assert ("'Live' is off, because the image is larger" in widget.invitation) != followed
-    if not followed:
-        check.native.click()
-        at_rest()
-        assert widget.live, "the user cannot switch it on"
 
 
 def test_layers_can_be_renamed_and_removed_during_a_solve(live_dock, settle, busy_thread, at_rest):

@@ -1,4 +1,4 @@
-"""Tests of the button that removes the drawing and the settings of a study."""
+"""Tests of the entry that removes the drawing and the settings of a study."""
 
 import pytest
 from qtpy.QtWidgets import QMessageBox
@@ -11,7 +11,7 @@ BUTTON = QMessageBox.StandardButton
 
 @pytest.fixture
 def reset(monkeypatch):
-    """Return a function that presses the button, answers its question, and returns the question."""
+    """Return a function that chooses the entry, answers its question, and returns the question."""
 
     def press(dock, answer):
         asked = []
@@ -21,7 +21,7 @@ def reset(monkeypatch):
             return answer
 
         monkeypatch.setattr(QMessageBox, "question", question)
-        Screen(dock).press("Reset")
+        Screen(dock).entry("Clear", "Reset the study").trigger()
         return asked
 
     return press
@@ -63,4 +63,4 @@ def test_a_reset_that_is_cancelled_changes_nothing(pulled, reset):
 
 
 def test_a_reset_needs_an_image(widget):
-    assert not Screen(widget).button("Reset").isEnabled()
+    assert not Screen(widget).entry("Clear", "Reset the study").isEnabled()

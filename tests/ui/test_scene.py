@@ -79,10 +79,10 @@ def test_the_hint_names_the_next_step():
     assert replace(IMAGE, is_live=False).hint == words.START
     painted = replace(IMAGE, is_live=False, lacks_boundary=False)
     assert told(Status(), painted) == painted.hint == "Press Deform."
-    drawing = replace(IMAGE, tool="Pull.", live_reason="Live is off.")
-    assert drawing.hint == "Pull. Live is off."
-    assert replace(drawing, introduction="Drag here.").hint == "Drag here. Live is off."
-    assert replace(drawing, paused="Press a tool.").hint == "Press a tool. Live is off."
+    drawing = replace(IMAGE, tool="Pull.")
+    assert drawing.hint == "Pull."
+    assert replace(drawing, introduction="Drag here.").hint == "Drag here."
+    assert replace(drawing, paused="Press a tool.").hint == "Press a tool."
     assert "'other' covers the image" in replace(drawing, covering="other").hint
 
 
@@ -93,11 +93,10 @@ def test_the_status_says_that_the_deformed_image_is_hidden_while_the_user_paints
     assert told(Status(doing="Deforming ..."), painting) == "Deforming ..."
 
 
-def test_messages_name_the_button_as_it_is_labelled():
+def test_messages_name_the_button_or_the_entry_that_solves():
     changed = Status().with_message(messages.CHANGED)
-    assert told(changed).endswith("Press Deform.")
-    live = replace(IMAGE, deform=messages.PRECISELY)
-    assert told(changed, live).endswith("Press 'Solve precisely'.")
+    assert told(changed, replace(IMAGE, is_live=False)).endswith("Press Deform.")
+    assert told(changed).endswith("Press 'Solve precisely' under 'More'.")
 
 
 def test_a_layer_can_be_added_while_one_is_missing():

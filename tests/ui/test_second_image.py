@@ -240,7 +240,7 @@ def test_distances_are_those_of_the_last_result_after_a_refused_edit(compared, w
     wait_for(lambda: "apart before" in dock.residual and not dock.busy)
     Screen(dock).entry("More", "Landmarks ...").trigger()
     (table,) = dock.native.window().findChildren(QTableWidget, "measurements")
-    dock._form.model.drift.value = True
+    dock._form.model.in_detail.drift.value = True
     wait_for(lambda: "cannot determine a drift" in dock.status)
     assert dock.residual.startswith("Landmarks in the last result, before the refused edit: ")
     assert head(table, 2) == "last result (mm)"

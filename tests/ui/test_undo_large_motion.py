@@ -81,7 +81,8 @@ def test_undo_and_redo_restore_the_result_of_each_step(pulled_in_steps, settle):
 
 def test_a_precise_solve_that_is_too_long_keeps_the_result_and_reports_it(pulled_in_steps, settle):
     dock = pulled_in_steps
-    press(dock, "Solve precisely", settle)
+    Screen(dock).entry("More", "Solve precisely").trigger()
+    settle(dock)
     assert moved_as_pulled(dock)
     assert "Kept the earlier result" in dock.status
     dock.drawing = pulled_by(PULLS[-1] + 1)

@@ -181,8 +181,8 @@ class ResectTool(BrushTool):
     key = "R"
     fields = ("radius",)
     hint = (
-        "Paint tissue to remove it. Gravity, and the contents of the cavity, are set under 'Edges, "
-        "rules, gravity'."
+        "Paint tissue to remove it. Gravity, and the contents of the cavity, are set under "
+        "'Boundary and gravity'."
     )
     action = "remove"
     step = "removed tissue"

@@ -8,23 +8,24 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from magicgui.widgets import CheckBox, Container, PushButton
+from magicgui.widgets import CheckBox, Container
 from psygnal import Signal
 from qtpy.QtCore import QSize, Qt
 from qtpy.QtGui import QIcon
-from qtpy.QtWidgets import QHBoxLayout, QSizePolicy, QToolButton, QVBoxLayout
+from qtpy.QtWidgets import QHBoxLayout, QSizePolicy, QToolButton, QVBoxLayout, QWidget
 
 from napari_hmrf.layers.slice_view import View
 from napari_hmrf.study.session import ImageChoice
 from napari_hmrf.study.study import SWITCHES
-from napari_hmrf.ui.forms import row
+from napari_hmrf.ui.forms import Section
 from napari_hmrf.ui.motion.load_forms import CavityForm, WeightForm
 from napari_hmrf.ui.motion.tool import Tool
 from napari_hmrf.ui.motion.tool_fields import ToolFields
 from napari_hmrf.ui.motion.tools import TOOLS
+from napari_hmrf.ui.remembered_settings import remember_open
 from napari_hmrf.ui.tissue_form import BoundarySection
 
-#: Number of tool buttons in each row; the buttons of the first row are larger.
+#: Number of tool buttons in each row; the first row is larger, the others are in a section.
 _ROWS = 4, 3, 3
 #: Sizes of the icons in the first row and in the other rows, in pixels.
 _ICONS = QSize(20, 20), QSize(12, 12)
@@ -49,8 +50,9 @@ class MotionForm(Container):
     ----------
     tools : dict of str to QToolButton
         Buttons by tool name.
+    more : Section
+        Section with the tools that are needed less often.
     fields : ToolFields
-    remove, clear : PushButton
     edges : Container
         Section with the outer edge, the boundary, the weight and the cavity.
     switches : Container
@@ -70,6 +72,11 @@ class MotionForm(Container):
             tool.name: _button(tool, is_large=number < _ROWS[0])
             for number, tool in enumerate(TOOLS)
         }
+        self.more = Section("More tools")
+        self.more.toggleButton().setToolTip(
+            "Brushes to release, push and remove tissue, to let it slide, and to change its kind "
+            "and its confidence; and further settings of the tools"
+        )
         self.fields = ToolFields()
         self.switches = Container(
             widgets=[
@@ -85,31 +92,38 @@ class MotionForm(Container):
         )
         self.weight, self.cavity = WeightForm(), CavityForm()
         self.boundary = BoundarySection(layers, view)
-        self.remove = PushButton(
-            text="Remove", enabled=False, tooltip="Remove the selected mark (Delete)"
-        )
-        self.clear = PushButton(text="Remove all", enabled=False, tooltip="Remove all marks")
-        drawn = row(self.remove, self.clear)
         parts = [self.switches, self.boundary, self.weight, self.cavity]
         self.edges = Container(widgets=parts, labels=False)
-        super().__init__(widgets=[self.fields, drawn], labels=False)
-        for container in (drawn, self.boundary, self.switches):
+        super().__init__(widgets=[self.fields], labels=False)
+        for container in (self.boundary, self.switches):
             container.margins = (0, 0, 0, 0)
         for name, button in self.tools.items():
             button.clicked.connect(partial(self.picked.emit, name))
-        buttons, rows = iter(self.tools.values()), QVBoxLayout()
+        buttons, page, rows = iter(self.tools.values()), QWidget(), QVBoxLayout()
+        for inside in (page, self.more):
+            layout = QVBoxLayout(page) if inside is page else self.more.layout()
+            layout.setSpacing(2)
+            layout.setContentsMargins(0, 0, 0, 0)
+        self.more.content().layout().setContentsMargins(0, 0, 0, 0)
         rows.setSpacing(2)
-        for count in _ROWS:
+        for number, count in enumerate(_ROWS):
             line = QHBoxLayout()
-            rows.addLayout(line)
+            (page.layout() if number else rows).addLayout(line)
             for button in islice(buttons, count):
                 line.addWidget(button, 1)
+        self.more.addWidget(page)
+        rows.addWidget(self.more)
         self.native.layout().insertLayout(0, rows)
+        remember_open(self.more, "tools")
+        self.fields.show_further(self.more.isExpanded())
+        self.more.toggled.connect(self.fields.show_further)
 
     def show_tool(self, name: str) -> None:
         """Highlight the button of the tool in use; "" if the mouse does not draw."""
-        for each, button in self.tools.items():
+        for number, (each, button) in enumerate(self.tools.items()):
             button.setChecked(each == name)
+            if each == name and number >= _ROWS[0] and not self.more.isExpanded():
+                self.more.expand(animate=False)
 
     def show_obstacle(self, reason: str) -> None:
         """Disable the tools for a reason, which is shown in their tooltips; "" enables them."""

@@ -36,6 +36,8 @@ _UNSURE = (
 )
 #: Attributes of marks by the name of the field that sets them, if the names differ.
 _ATTRIBUTES = {"stroke_confidence": "confidence", "material": "label"}
+#: Usual values of the fields that are visible only on request or with another value.
+_FURTHER = {"confidence": 1.0, "components": "both"}
 #: Fields for the displacement along the row axis and the column axis.
 _STEPS = ("by_row", "by_col")
 
@@ -100,7 +102,7 @@ class ToolFields(Form):
             narrow(choices)
         for each in (self.stroke_confidence, self.softness, self.components, self.material):
             each.tooltip = f"{each.tooltip}. {_SELECTED}"
-        self._own_table = False
+        self._own_table = self._shows_further = False
         # Smallest and largest value of each length; and why the last typed length was replaced.
         self._ranges: dict[Any, tuple[float, float]] = {}
         self._unit, self._refusal = "px", ""
@@ -163,12 +165,20 @@ class ToolFields(Form):
     def show_for(self, tool: type[Tool]) -> None:
         """Show the fields of a tool, and hide all other fields."""
         self._tool = tool
+        is_volume = len(self._ways.order) == 3
+        if is_volume:  # a mark in a volume prescribes all components
+            self.components.value = "both"
         for field in self:
-            field.visible = field.name in tool.fields
-        if len(self._ways.order) == 3:  # a mark in a volume prescribes all components
-            self.components.visible, self.components.value = False, "both"
+            is_used = field.name in tool.fields and not (is_volume and field is self.components)
+            is_usual = field.name in _FURTHER and field.value == _FURTHER[field.name]
+            field.visible = is_used and (self._shows_further or not is_usual)
         self.preset.visible = "material" in tool.fields and not self._own_table
         self._describe_patch()
+
+    def show_further(self, is_shown: bool) -> None:
+        """Show all fields of the tools, or hide those that have their usual values."""
+        self._shows_further = is_shown
+        self.show_for(self._tool)
 
     def show_settings(self, settings: ToolSettings) -> None:
         """Show the settings of the selected mark, without changing the mark or other fields."""
@@ -182,7 +192,7 @@ class ToolFields(Form):
                 value = max(value, _LEAST_CONFIDENCE)
             if name != "material" or value in field.choices:
                 show_quietly(field, value)
-        self._describe_patch()
+        self.show_for(self._tool)
 
     @property
     def unit(self) -> str:

@@ -58,7 +58,7 @@ class ResultForm(Container):
     differences : Prose
         Difference between the result and the known field.
     files : Container
-        Row of the buttons `save`, `keep` and `more`.
+        Row of the buttons `keep` and `more`.
     """
 
     def __init__(self, layers: Callable[[], list[Any]], image: LayerChoice) -> None:
@@ -102,11 +102,6 @@ class ResultForm(Container):
             "deformed image in magenta; where both images agree, the sum is grey",
             if_any=True,
         )
-        self.save = PushButton(
-            text="Save pictures ...",
-            tooltip="Save figures as PNG files in a new folder: displacement, before and after, "
-            "grid, area change, strain and energy. To save the canvas, use File > Save Screenshot.",
-        )
         self.keep = PushButton(
             text="Save study ...",
             tooltip="Save all choices, paint, marks and settings, and the result if there is one, "
@@ -115,9 +110,9 @@ class ResultForm(Container):
         self.more = QPushButton("More")
         self.more.setToolTip(
             "Measurements, forces, landmarks, moved copies of other layers, fields for other "
-            "tools, films"
+            "tools, pictures, films, and a precise solve"
         )
-        self.files = row(self.keep, self.save)
+        self.files = row(self.keep)
         self.files.native.layout().addWidget(self.more)
         self.registration = RegistrationForm()
         compared = self.reference, self.differences
@@ -148,5 +143,5 @@ class ResultForm(Container):
         """Enable the widgets that require a result; disable them if `arrows` is None."""
         self._own_arrows = arrows
         self.reference.reset_choices()
-        for part in (self.slider, self.play, self.before, self.overlay, self.save):
+        for part in (self.slider, self.play, self.before, self.overlay):
             part.enabled = arrows is not None

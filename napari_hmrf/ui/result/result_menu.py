@@ -31,6 +31,7 @@ from napari_hmrf.solver.elastic_strain import strain_note
 from napari_hmrf.tissue.drawing import Landmark
 from napari_hmrf.ui.forms import add_entry, attempt, give_menu
 from napari_hmrf.ui.jobs import Jobs
+from napari_hmrf.ui.messages import PRECISELY
 from napari_hmrf.ui.result.landmark_table import LandmarkRows, LandmarkTable
 from napari_hmrf.ui.result.moving_layers import MovingLayers
 from napari_hmrf.ui.result.result_form import ResultForm
@@ -57,6 +58,14 @@ _FILM = (
     "Film of the image as it deforms and returns, with the visible overlay and its legend: .gif, "
     "or .mp4 with imageio-ffmpeg"
 )
+_PICTURES = (
+    "Figures as PNG files in a new folder: displacement, before and after, grid, area change, "
+    "strain and energy. To save the canvas, use File > Save Screenshot."
+)
+_PRECISE = (
+    "Compute the motion of the tissue from scratch, to the tolerance. If this stops before the "
+    "tissue is fully there, the earlier result is kept."
+)
 _WITH_IT = (
     "New layer, moved with the tissue. In a volume at the same position, only the slice of this "
     "result moves. In films, channels and stacks without units, all slices move."
@@ -81,6 +90,8 @@ class ResultMenu:
 
     #: Emitted with a list of `Path` after pictures have been written.
     saved = Signal(object)
+    #: Emitted when the user chooses to solve the study from a cold start.
+    precise_chosen = Signal()
 
     def __init__(
         self,
@@ -98,7 +109,6 @@ class ResultMenu:
         self.set_sd: Callable[[Landmark, float], None] = lambda _mark, _sd: None
         self._landmark_table: LandmarkTable | None = None
         give_menu(self._button, self._fill)
-        form.save.changed.connect(self._on_save)
 
     def measure(self) -> tuple[Measurement, ...]:
         """Measure the deformation of each tissue, or of all tissue if there are no labels.
@@ -302,11 +312,14 @@ class ResultMenu:
             ask = partial(self._choose_file, save, title, file, kinds)
             entry = add_entry(menu, f"{title} ...", about, ask)
             entry.setEnabled(has_bars or save != self.save_uncertainty)
+        add_entry(menu, "Save pictures ...", _PICTURES, self._on_save).setEnabled(shown is not None)
+        menu.addSeparator()
+        add_entry(menu, PRECISELY, _PRECISE, self.precise_chosen.emit)
 
     def _add_entry(self, menu: Any, title: str, about: str, action: Callable[[], object]) -> Any:
         return add_entry(menu, title, about, partial(attempt, action, self._show_message))
 
-    def _on_save(self, *_: Any) -> None:
+    def _on_save(self) -> None:
         title = "Choose where to create a folder of pictures"
         chosen = QtWidgets.QFileDialog.getExistingDirectory(self._button, title)
         if chosen:
@@ -335,7 +348,7 @@ class ResultMenu:
         answer = self._shown.answer
         if answer.forces is None:
             raise HmrfError(
-                "Forces are available for elastic tissue and large motion, after Deform in this "
+                "Forces are available for elastic tissue and large motion, after a solve in this "
                 "session. Results of the paper's model and results from files have no forces."
             )
         ways, stiffness = directions_of(answer.frame, self._viewer), answer.solution.stress_unit

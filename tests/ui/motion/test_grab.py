@@ -240,9 +240,9 @@ def test_fields_change_the_selected_arrow_and_new_arrows(pulling_beside, settle)
     settle(widget)
     person.drag((10, 10), (10, 10))
     assert widget.drawing.marks[1].radius == 6.0
-    screen.press("Remove all")
+    screen.entry("Clear", "Remove all").trigger()
     assert widget.drawing == Drawing()
-    assert not screen.button("Remove all").isEnabled()
+    assert not screen.entry("Clear", "Remove all").isEnabled()
 
 
 def test_the_motion_layer_removed_during_a_drag_is_restored(pulling_beside, settle):
@@ -271,7 +271,7 @@ def test_removing_the_image_ends_a_drag(pulling_beside, at_rest):
     at_rest()
     assert widget.image is None
     assert not widget.drawing.marks
-    assert widget.status.startswith("'MR' was deleted with the drawing on it")
+    assert widget.status.startswith("'MR' was deleted. Its drawing is kept")
     assert "Motion" not in person.viewer.layers, "no dock would respond to it"
     assert not Screen(widget).button("Undo").isEnabled()
 

@@ -224,14 +224,18 @@ def test_undo_and_redo_select_a_stroke_and_show_its_settings(pulling_beside, set
     for _ in range(2):
         person.key(Qt.Key.Key_Z, CTRL)
     assert not widget.drawing.marks
-    assert not Screen(widget).button("Remove").isEnabled()
+    assert not Screen(widget).entry("Clear", "Remove the selected").isEnabled()
     person.key(Qt.Key.Key_Z, CTRL | SHIFT)
-    assert Screen(widget).button("Remove").isEnabled(), "the restored stroke is not selected"
+    assert Screen(widget).entry("Clear", "Remove the selected").isEnabled(), (
+        "the restored stroke is not selected"
+    )
     amount.value = 1.0
     assert only(widget).amount == 1.0, "the field did not change the restored stroke"
     person.key(PIN)
     person.key(Qt.Key.Key_Z, CTRL)
-    assert not Screen(widget).button("Remove").isEnabled(), "a stroke of another tool is selected"
+    assert not Screen(widget).entry("Clear", "Remove the selected").isEnabled(), (
+        "a stroke of another tool is selected"
+    )
     settle(widget)
 
 

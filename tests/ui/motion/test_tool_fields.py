@@ -97,12 +97,30 @@ def test_a_larger_typical_strain_brings_tissue_closer_to_an_uncertain_landmark(
     touch.drag((30, 30), (34, 30))
     settle(dock)
     before = dock.solution.displacement[30, 30, 0]
-    dock._form.model.strain.value = 40
+    dock._form.model.in_detail.strain.value = 40
     settle(dock)
     assert before + 0.2 < dock.solution.displacement[30, 30, 0] < 4
     assert dock.study.motion.typical_strain == 0.4
+    strain = dock._form.model.in_detail.strain.native
+    assert not strain.isHidden()
     dock.model = "paper"
-    assert not dock._form.model.strain.native.isVisibleTo(dock.native)
+    assert strain.isHidden()
+
+
+def test_further_fields_are_visible_on_request_or_with_another_value(pulling_beside):
+    touch, dock = pulling_beside
+    confidence, direction = dock.fields.confidence, dock.fields.components
+    further = confidence.native, direction.native
+    assert [field.isHidden() for field in further] == [True, True]
+    Screen(dock).press("More tools")
+    assert [field.isHidden() for field in further] == [False, False]
+    confidence.value = 0.5
+    Screen(dock).press("More tools")
+    assert [field.isHidden() for field in further] == [False, True], "a used value is hidden"
+    touch.drag((30, 30), (32, 30))
+    dock.tool = "slide"
+    dock.start()
+    assert dock._form.motion.more.isExpanded(), "the button of the tool in use is not visible"
 
 
 def test_the_advice_about_folds_names_the_uncertainty_of_landmarks(pulling_beside, settle):

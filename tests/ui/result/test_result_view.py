@@ -29,6 +29,7 @@ from napari_hmrf.ui.result.cursor import stiffness_of
 from napari_hmrf.ui.result.moving_layers import how_far
 from tests.support.docks import quick, viewer_of
 from tests.support.person import SHIFT
+from tests.support.screen import Screen
 from tests.support.windowless import Touch
 
 
@@ -894,7 +895,7 @@ def test_pictures_are_saved_in_a_new_folder_in_the_chosen_place(
     look.saved.connect(got.append)
     for _ in range(2):
         got.clear()
-        look._form.result.save.native.click()
+        Screen(look).entry("More", "Save pictures").trigger()
         wait_for(lambda: bool(got))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["MR pictures", "MR pictures 2"]
 
