@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable
 from typing import Any
 
-from qtpy.QtCore import QObject, QTimer
+from qtpy.QtCore import QObject, Qt, QTimer
+from qtpy.QtGui import QGuiApplication
 
 
 def single_shot(
@@ -62,3 +65,34 @@ class EventConnections:
         for event, callback in self._connections:
             event.disconnect(callback)
         self._connections = ()
+
+
+class Return:
+    """Time at which the user last returned from another application.
+
+    Windows of this application, such as a floating dock, do not count.
+    """
+
+    def __init__(self) -> None:
+        self._app: Any = QGuiApplication.instance()
+        self._has_been_active = self._is_active
+        self._at = -math.inf
+        self._app.applicationStateChanged.connect(self._on_state)
+
+    @property
+    def _is_active(self) -> bool:
+        return bool(self._app.applicationState() == Qt.ApplicationState.ApplicationActive)
+
+    def is_since(self, when: float) -> bool:
+        """Return whether the user has returned since a time of `time.monotonic`."""
+        return self._at >= when
+
+    def release(self) -> None:
+        """Disconnect from the application."""
+        self._app.applicationStateChanged.disconnect(self._on_state)
+
+    def _on_state(self, state: Any) -> None:
+        if state == Qt.ApplicationState.ApplicationActive:
+            if self._has_been_active:
+                self._at = time.monotonic()
+            self._has_been_active = True

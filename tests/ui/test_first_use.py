@@ -15,7 +15,7 @@ from qtpy.QtWidgets import QApplication
 from napari_hmrf import Arrow, Drawing
 from napari_hmrf.contributions import dock
 from napari_hmrf.layers.compat import text_of
-from napari_hmrf.ui.motion.motion_messages import EARLY, HERE
+from napari_hmrf.ui.motion.motion_messages import EARLY, HERE, RETURNED
 from tests.support.docks import quick
 from tests.support.person import Person, only
 from tests.support.screen import Screen
@@ -123,6 +123,7 @@ def test_a_drag_before_the_tissue_is_ready_is_applied_when_it_is(
     person, widget = open_beside()
     assert widget.active
     person.drag((10, 40), (11, 42))
+    person.drag((20, 50))  # a click, perhaps only to see whether the window responds
     person.press(30, 30)
     person.move(32, 33)
     if not is_held:
@@ -136,6 +137,18 @@ def test_a_drag_before_the_tissue_is_ready_is_applied_when_it_is(
         settle(widget)
     assert [mark.by for mark in widget.drawing.marks] == [(1, 2), (4, 4)]
     assert widget.solution.displacement[30, 30] == pytest.approx((4, 4), abs=0.05)
+
+
+def test_a_click_that_only_brings_the_window_to_the_front_draws_nothing(pulling_beside):
+    person, widget = pulling_beside
+    state, changed = Qt.ApplicationState, QApplication.instance().applicationStateChanged
+    for each in (state.ApplicationActive, state.ApplicationInactive, state.ApplicationActive):
+        changed.emit(each)
+    person.drag((20, 20))
+    assert not widget.drawing.marks
+    assert widget.status == RETURNED
+    person.drag((20, 20), (24, 26))
+    assert len(widget.drawing.marks) == 1, "a drag has no effect"
 
 
 def test_escape_cancels_a_drag_before_the_tissue_is_ready(open_beside, busy_thread, settle):

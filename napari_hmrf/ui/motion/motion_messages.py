@@ -28,6 +28,7 @@ NOTHING_SELECTED = "Nothing is selected: Shift+click a mark to select it."
 REMOVED = "Removed the selected mark. Press Undo to restore it."
 REMOVED_ALL = "Removed all marks. Press Undo to restore them."
 CANCELLED = "Cancelled; the drawing is unchanged."
+RETURNED = "This click brought the window to the front. Click again to draw."
 OPEN = "Continue to the start of the line: only a closed ring or a patch can grow."
 NO_STEP = (
     "Now drag the paint to push the tissue, or set a distance above. Until then, the tissue is "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Hashable
 from dataclasses import replace
 from functools import partial
@@ -23,7 +24,7 @@ from napari_hmrf.tissue.drawing import Drawing
 from napari_hmrf.tissue.drawing.drawing import ends_of
 from napari_hmrf.tissue.drawing.growth import is_pull
 from napari_hmrf.tissue.drawing.marks import Point
-from napari_hmrf.ui.events import single_shot
+from napari_hmrf.ui.events import Return, single_shot
 from napari_hmrf.ui.messages import in_short
 from napari_hmrf.ui.motion import motion_messages
 from napari_hmrf.ui.motion.display import Display
@@ -38,6 +39,8 @@ _AHEAD = 250
 _LARGER = 1.25
 #: Time without a turn of the mouse wheel after which its undo step ends, in milliseconds.
 _WHEEL_REST = 400
+#: Time after the return from another application in which a click has no effect, in seconds.
+_RETURN = 0.3
 
 
 class EarlyDrag(NamedTuple):
@@ -108,6 +111,9 @@ class Pointer:
         self._undragged = Drawing()
         # True once the user has pressed the mouse button on the image.
         self._is_used = False
+        self._return = Return()
+        # Time of the last press of the mouse button, and drawing just after it.
+        self._pressed_at, self._pressed = 0.0, Drawing()
         undo.message.connect(self._on_step)
         self._session.changed.connect(self._on_drawn)
         fields.changed.connect(self._on_field)
@@ -266,6 +272,7 @@ class Pointer:
         """Disconnect from the undo steps, and end any drag."""
         self.display.arrows.end_drag()
         self.display.release()
+        self._return.release()
         self._undo.message.disconnect(self._on_step)
         self._session.changed.disconnect(self._on_drawn)
 
@@ -319,8 +326,10 @@ class Pointer:
             self.message.emit(motion_messages.covered(other.name))
             return
         self._undragged = self.drawing
+        self._pressed_at = time.monotonic()
         self.tool.present = moved.motion_of
         message = self.tool.press(point, reach, self._fields.settings, moved.origin_of)
+        self._pressed = self.drawing
         if self.tool.is_dragging:
             self._show_settings()
         self.message.emit(message)
@@ -397,8 +406,11 @@ class Pointer:
         self.display.arrows.end_drag()
         self._is_early = False
         was_dragging, message = self.tool.is_dragging, None
+        if was_dragging and self._only_returns:
+            self.tool.cancel()
+            message = motion_messages.RETURNED
         try:
-            message = self.tool.release()
+            message = self.tool.release() or message
         except ToolError as error:
             self._in_error = False
             self.refusal.emit(str(error))
@@ -415,6 +427,12 @@ class Pointer:
             if message is not None:
                 self.message.emit(message)
             self.draw()
+
+    @property
+    def _only_returns(self) -> bool:
+        """True if the last press, without a drag, brought the window to the front."""
+        is_click = self.drawing is self._pressed
+        return is_click and self._return.is_since(self._pressed_at - _RETURN)
 
     def turn(self) -> None:
         """Respond to a change in the visible slice: end the drag, or continue it in a volume."""
@@ -457,6 +475,8 @@ class Pointer:
         goes_on, self._is_early = self._is_early, False
         for drag in drags:
             first, *others = drag.points
+            if len(set(drag.points)) == 1 and not (goes_on and drag is drags[-1]):
+                continue  # a click has no visible effect until the tissue is ready
             self.press(first, drag.reach)
             for point in others:
                 self.move(point)
