@@ -99,6 +99,11 @@ class ArrowsLayer:
         return self._layer
 
     @property
+    def is_hidden(self) -> bool:
+        """True if the user has hidden the layer."""
+        return self.layer is not None and not self._layers.is_wanted(self._layer)
+
+    @property
     def active(self) -> bool:
         """True if the layer receives mouse events; in the 3-D view only for a volume."""
         layer, frame, dims = self.layer, self._frame, self._viewer.dims

@@ -20,6 +20,7 @@ ONE_SLICE = (
 TURN = "Drag beside the tissue to turn the view."
 IN_DEPTH = "While you drag tissue, the wheel or the keys Up and Down move it away or nearer."
 ARROWS_GONE = "The layer 'Motion' was deleted: press a tool to restore it."
+HIDDEN = "Marks are drawn, but hidden: to see them, click the eye icon of the layer 'Motion'."
 NOTHING = "There is no tissue at this point."
 OUTSIDE = "This point is outside the image."
 PICKED = "Mark selected: edit the fields to change it, or press Delete to remove it."

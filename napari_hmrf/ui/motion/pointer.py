@@ -332,6 +332,8 @@ class Pointer:
         self._pressed = self.drawing
         if self.tool.is_dragging:
             self._show_settings()
+            if self.display.arrows.is_hidden:
+                message = message or motion_messages.HIDDEN
         self.message.emit(message)
         self._show_stroke(at_once=True)
         self._show_cursor()

@@ -672,6 +672,9 @@ def test_the_status_tells_whether_the_tool_is_active(pulling_beside, settle):
     assert widget.status.startswith("To continue drawing")
     layers.selection.active = layers["Motion"]
     assert (widget.active, widget.status) == (True, how)
+    layers["Motion"].visible = False
+    person.drag((20, 20), (22, 22))
+    assert "click the eye icon of the layer 'Motion'" in widget.status
 
 
 def test_a_warning_reports_air_labelled_as_tissue(open_beside, settle):
