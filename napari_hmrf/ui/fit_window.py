@@ -60,7 +60,8 @@ class FitWindow(TableWindow):
     parent : QWidget
         Main window.
     start, cancel : callable
-        Called when the user presses **Fit** or **Cancel**.
+        Called when the user presses **Fit**, or **Cancel** during a fit. Otherwise, this button is
+        **Close**.
 
     Attributes
     ----------
@@ -74,18 +75,18 @@ class FitWindow(TableWindow):
         start: Callable[[], object],
         cancel: Callable[[], object],
     ) -> None:
-        self.start = start
+        self.start, self._cancel = start, cancel
         self._rows: list[Material] = []
-        self._fit, self._cancel = QtWidgets.QPushButton("Fit"), QtWidgets.QPushButton("Cancel")
+        self._fit, self._end = QtWidgets.QPushButton("Fit"), QtWidgets.QPushButton()
         self._fit.clicked.connect(lambda _: start())
-        self._cancel.clicked.connect(lambda _: cancel())
+        self._end.clicked.connect(self._on_end)
         self._outcome = QtWidgets.QLabel(wordWrap=True)
         about, below = QtWidgets.QLabel(_ABOUT, wordWrap=True), QtWidgets.QWidget()
         about.setMinimumWidth(_WIDTH)
         buttons = QtWidgets.QHBoxLayout(below)
         buttons.setContentsMargins(0, 0, 0, 0)
         buttons.addStretch()
-        for button in (self._fit, self._cancel):
+        for button in (self._fit, self._end):
             button.setAutoDefault(False)
             buttons.addWidget(button)
         super().__init__(parent, TITLE, [about], [self._outcome, below], height=190)
@@ -141,9 +142,16 @@ class FitWindow(TableWindow):
         self._outcome.setText(text)
 
     def show_busy(self, is_busy: bool) -> None:
-        """Enable the button that applies: **Fit**, or **Cancel** during a fit."""
+        """Offer **Fit** and **Close**, or **Cancel** during a fit."""
         self._fit.setEnabled(not is_busy)
-        self._cancel.setEnabled(is_busy)
+        self._end.setText("Cancel" if is_busy else "Close")
+
+    def _on_end(self, *_: object) -> None:
+        """Cancel the fit that is running, or close the window."""
+        if self._fit.isEnabled():
+            self.close()
+        else:
+            self._cancel()
 
 
 def _cell(

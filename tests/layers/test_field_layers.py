@@ -15,6 +15,7 @@ from napari_hmrf.layers.field_layer import field_layer, field_of
 from napari_hmrf.layers.metadata import layer_metadata
 from napari_hmrf.results.observation import PixelField
 from napari_hmrf.tissue import edge_confidence
+from napari_hmrf.ui.result.result_messages import overlay_choices
 from tests.support.screen import Screen
 
 pytest.importorskip("SimpleITK")
@@ -237,6 +238,9 @@ def test_the_distance_of_a_result_from_a_reference_is_reported_and_shown(pulled,
     d = (dock.solution.displacement + np.array([0.3, -0.4])) / 0.5
     made = field_layer(in_pixels(d), {"scale": (0.5, 0.5), "units": ("mm", "mm")}, "t")
     assert "RMSD" not in screen.words
+    menu = dock._form.result.overlay
+    usual = [name for _, name in overlay_choices("mm")]
+    assert [*menu.choices] == usual, "the order differs from that of a result in pixels"
     layer = viewer.add_layer(Layer.create(*made))
     dock.reference = layer
     wait_for(lambda: not dock.busy)

@@ -60,6 +60,10 @@ class FitScreen:
         (self._dialog,) = [each for each in shown if each.isVisible()]
         self.table = self._dialog.findChild(QTableWidget)
 
+    @property
+    def is_open(self):
+        return self._dialog.isVisible()
+
     def close(self):
         self._dialog.close()
 
@@ -175,6 +179,9 @@ def test_cancel_stops_a_fit_and_changes_nothing(window, wait_for):
     wait_for(lambda: not dock.busy)
     assert "cancelled" in dock.status
     assert growth_of(dock) == [0, 0]
+    assert screen.is_open
+    screen.press("Close")
+    assert not screen.is_open
 
 
 def test_the_button_for_a_fit_says_what_it_needs(window, wait_for):

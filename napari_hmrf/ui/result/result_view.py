@@ -22,7 +22,7 @@ from napari_hmrf.results.comparison import Comparison, compare
 from napari_hmrf.study.session import Session
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.events import EventConnections, single_shot
-from napari_hmrf.ui.forms import attempt, show_quietly
+from napari_hmrf.ui.forms import attempt, show_choices, show_quietly
 from napari_hmrf.ui.jobs import Jobs, reason_of
 from napari_hmrf.ui.result import result_messages as words
 from napari_hmrf.ui.result.cursor import UnderCursor
@@ -296,17 +296,15 @@ class ResultView:
     def _offer(self, shown: MovingLayers) -> None:
         """Offer the overlays of a result, and select the visible overlay."""
         choice, layer_shown = self._form.overlay, shown.layers.layer("overlay")
-        with choice.changed.blocked():
-            name = self._overlay
-            if name == words.NOTHING and layer_shown is not None and layer_shown.visible:
-                name = metadata_of(layer_shown)["kind"]  # left by a dock that was closed
-            ways = directions_of(shown.answer.frame, self._viewer)
-            compared = self._form.reference.value is not None
-            if name == "difference" and not compared:
-                name = words.NOTHING
-            choice.choices = words.overlay_choices(shown.answer.unit, ways, compared)
-            choice.value = name
-            self._session.choose_display(overlay=name)
+        name = self._overlay
+        if name == words.NOTHING and layer_shown is not None and layer_shown.visible:
+            name = metadata_of(layer_shown)["kind"]  # left by a dock that was closed
+        ways = directions_of(shown.answer.frame, self._viewer)
+        compared = self._form.reference.value is not None
+        if name == "difference" and not compared:
+            name = words.NOTHING
+        show_choices(choice, words.overlay_choices(shown.answer.unit, ways, compared), name)
+        self._session.choose_display(overlay=name)
 
     def _lay_over(self, chosen: bool) -> None:
         """Draw the selected overlay in the background; with `chosen`, make it visible."""
