@@ -84,8 +84,8 @@ def sample_pair() -> list[LayerData]:
     brain, after = image_pair()
     image, tissue, _ = phantom_layers(brain)
     image[1]["name"] = "Before"
-    second = {"name": "After", "metadata": layer_metadata(IMAGE), "visible": False}
-    return [(after.copy(), second, "image"), image, tissue]
+    second = {"name": "After", "visible": False}
+    return [image, tissue, (after.copy(), second, "image")]
 
 
 def sample_bar() -> list[LayerData]:

@@ -19,6 +19,8 @@ from napari_hmrf.layers.viewer_layers import ViewerLayers
 _OPAQUE = ("opaque", "translucent", "translucent_no_depth")
 #: Attributes that define the position of a layer, besides its units.
 _POSITION = ("scale", "translate", "rotate", "shear", "affine")
+#: Smallest share of the box around two images that both must cover to count as the same place.
+_SHARED = 0.5
 #: Number of points along each axis at which the visibility of an image is checked.
 _SAMPLES = 5
 
@@ -38,14 +40,35 @@ def image_in_front(viewer: Any, images: Iterable[Any], worked_on: Iterable[Any] 
     -------
     napari.layers.Image or None
         In order of preference: the active image, the topmost selected image, the topmost visible
-        image, the topmost image. None if there are no candidates.
+        image, the topmost image. However, napari makes each new image active: instead of the
+        topmost image, the lowest image that may show the same tissue is returned. None if there
+        are no candidates.
     """
-    preferred, selection = set(worked_on), viewer.layers.selection
+    preferred, selection, candidates = set(worked_on), viewer.layers.selection, [*images]
 
     def likelihood(image: Any) -> tuple[bool, ...]:
         return image in preferred, image is selection.active, image in selection, image.visible
 
-    return max(reversed([*images]), key=likelihood, default=None)
+    front = max(reversed(candidates), key=likelihood, default=None)
+    if front is None or front in preferred or front is not candidates[-1]:
+        return front
+    earlier = (each for each in candidates if each.visible or not front.visible)
+    return next((each for each in earlier if may_be_second(each, front)), front)
+
+
+def may_be_second(image: Any, other: Any) -> bool:
+    """Return whether another image may show the tissue of an image, such as a later scan.
+
+    This is the case if both have the same axes and units, and cover about the same box in the
+    world, unless the other image has the role of an image to deform, as in samples.
+    """
+    if role_of(other) == IMAGE or (image.ndim, image.units) != (other.ndim, other.units):
+        return False
+    extents = [each.extent for each in (image, other)]
+    boxes = np.array([(each.world[0], each.world[1] + each.step) for each in extents], float)
+    (low, high), (first, last) = boxes.max(axis=0), boxes.min(axis=0)
+    shared = np.clip(last - low, 0, None)
+    return bool(np.prod(shared) >= _SHARED * np.prod(high - first))
 
 
 def is_photograph(image: Any) -> bool:

@@ -124,7 +124,7 @@ class ImageChoice(Conditions):
     extent : {"slice", "volume"}
         Part of the image that is solved.
     compare_with : layer or None
-        Second image to display over the warped image.
+        Second image, to compare and to register.
     preset : Preset or None
         Tissues to paint with if the tissue has no table, as in `Tissue`.
     """
@@ -235,11 +235,14 @@ class DisplayChoice:
         Device of the solver, as the argument `backend` of `solve`.
     overlay : str
         Overlay on the image; "nothing" for none.
+    in_colours : bool
+        True if the second image is shown over the deformed image, both in colours.
     """
 
     live: bool = True
     device: str = "auto"
     overlay: str = "nothing"
+    in_colours: bool = False
 
 
 class UnsavedWork:
@@ -486,7 +489,8 @@ class Session(EditHistory):
         ----------
         study : Study
         layers : mapping of str to layer
-            Layer of each of the parts "image", "tissue", "boundary" and "confidence".
+            Layer of each of the parts "image", "tissue", "boundary" and "confidence", and of the
+            second image, "second".
         """
         tissue, motion = study.tissue, study.motion
         image = layers.get("image")
@@ -501,6 +505,7 @@ class Session(EditHistory):
             without_border=tissue.without_border,
             **motion.conditions,
             extent="volume" if len(study.grid.shape) == 3 else "slice",
+            compare_with=layers.get("second"),
             preset=tissue.preset,
         )
         self.choose_model(ModelChoice.of(study), step=False)

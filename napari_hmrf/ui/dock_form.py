@@ -29,7 +29,7 @@ from napari_hmrf.ui.font_size import FontFollower, WidthFitter
 from napari_hmrf.ui.footer import Footer
 from napari_hmrf.ui.forms import CalmField, Section, row
 from napari_hmrf.ui.keyboard_access import name_fields
-from napari_hmrf.ui.layer_choice import ExtentChoice, LayerChoice, is_picture
+from napari_hmrf.ui.layer_choice import ExtentChoice, LayerChoice, LayerSubmenu, is_picture
 from napari_hmrf.ui.model import ModelForm
 from napari_hmrf.ui.motion.carry_over import CarryOverForm
 from napari_hmrf.ui.motion.motion_form import MotionForm
@@ -42,6 +42,10 @@ from napari_hmrf.ui.tissue_tables import BoundaryTable, MaterialTable
 
 #: Title and tooltip of each section.
 _SECTIONS = {
+    "comparison": (
+        "Second image: compare, register",
+        "Later image of the same tissue: comparison, registration, and fit of the tissues",
+    ),
     "tissue": (
         "Tissue and stiffness",
         "Kinds of tissue and their stiffness: painted, or derived from brightness",
@@ -49,10 +53,6 @@ _SECTIONS = {
     "edges": (
         "Boundary and gravity",
         "Outer edge, painted regions that are held or moved, landmark layers, weight, and cavities",
-    ),
-    "comparison": (
-        "Second image, known field",
-        "Registration to a later image; comparison with this image or with a known field",
     ),
     "model": ("Model", "Model of the tissue, with advice on its use"),
     "advanced": ("Advanced", "Settings of the solver; the default settings suit most studies"),
@@ -131,7 +131,7 @@ class DockForm:
         return View.of(self._viewer.dims, self.extent.is_volume)
 
     @property
-    def choices(self) -> tuple[LayerChoice, ...]:
+    def choices(self) -> tuple[LayerChoice | LayerSubmenu, ...]:
         """Layer menus."""
         boundary, result = self.motion.boundary, self.result
         marks = (boundary.landmarks.sources, boundary.landmarks.targets)
@@ -166,9 +166,9 @@ class DockForm:
         body = Container(widgets=[first, self.carry_over, self.motion], labels=False)
         layout = body.native.layout()
         parts: dict[str, Container] = {
+            "comparison": self.result.comparison,
             "tissue": tissue,
             "edges": self.motion.edges,
-            "comparison": self.result.comparison,
             "model": self.model,
             "advanced": self.model.in_detail,
         }
@@ -181,7 +181,8 @@ class DockForm:
                 inner.setSpacing(2)
                 inner.setContentsMargins(0, 0, 0, 0)
             step.addWidget(part.native)
-            remember_open(step, name)
+            # The section of the second image is visible only if there is one.
+            remember_open(step, name, usual=name == "comparison")
             (parts["model"].native.layout() if name == "advanced" else layout).addWidget(step)
             step.opened.connect(single_shot(step, 0, partial(self._scroll_to, step)).start)
         layout.setSpacing(4)
@@ -207,8 +208,7 @@ class DockForm:
         for container in (outer, body, first, ways, self.motion, *parts.values()):
             container.margins = (2, 2, 2, 2)
         self.tissue.margins = (0, 0, 0, 0)
-        for choice in (self.result.reference, self.result.second):
-            choice.listed.connect(self._show_comparison)
+        self.result.second.listed.connect(self._show_comparison)
         self.result.registration.shown.connect(self._show_comparison)
         self._show_comparison()
         FontFollower(self.motion.fields.radius.native, [*self.motion.tools.values(), *self.tables])
@@ -218,11 +218,9 @@ class DockForm:
             name_fields(form)
 
     def _show_comparison(self) -> None:
-        """Show the section for comparisons only if it has a layer or a registration to show."""
-        choices = (self.result.reference, self.result.second)
-        has_content = self.result.registration.is_registered
-        has_content = has_content or any(choice.offered for choice in choices)
-        self.sections["comparison"].setVisible(has_content)
+        """Show the section of the second image only if it has an image or a registration."""
+        is_registered = self.result.registration.is_registered
+        self.sections["comparison"].setVisible(is_registered or bool(self.result.second.offered))
 
     def _scroll_to(self, step: Section) -> None:
         """Scroll until all of an opened section is visible, or at least its top."""

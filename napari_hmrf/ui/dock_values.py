@@ -158,7 +158,11 @@ class DockValues(Dock):
     )
     compare_with = _Chosen[Any](
         "_form.result.second.value",
-        "Second image, shown over the deformed image, or None.",
+        "Second image of the same tissue, to compare and to register, or None.",
+    )
+    in_colours = _Chosen[bool](
+        "_form.result.in_colours.value",
+        "True if the second image is shown over the deformed image, both in colours.",
     )
     live = _Chosen[bool](
         "_form.model.in_detail.live.value",

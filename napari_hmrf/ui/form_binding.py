@@ -17,12 +17,13 @@ from napari_hmrf.layers.image_choice import (
     image_covering,
     image_in_front,
     is_photograph,
+    may_be_second,
     painted_on,
 )
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.metadata import BOUNDARY, role_of
 from napari_hmrf.layers.slice_view import fits
-from napari_hmrf.layers.viewer_layers import shared
+from napari_hmrf.layers.viewer_layers import layers_of, shared
 from napari_hmrf.layers.viewer_undo import undo_of
 from napari_hmrf.study.session import BRIGHTNESS, DisplayChoice, ImageChoice, ModelChoice, Part
 from napari_hmrf.tissue.material_presets import PLAIN, PRESETS, Preset
@@ -31,7 +32,7 @@ from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.events import EventConnections
 from napari_hmrf.ui.forms import show_quietly
-from napari_hmrf.ui.messages import EDGE_GOES, NOT_CHOSEN, WELCOME
+from napari_hmrf.ui.messages import EDGE_GOES, NOT_CHOSEN, SECOND, WELCOME
 
 
 class FormBinding:
@@ -78,6 +79,7 @@ class FormBinding:
             "live": form.model.in_detail.live,
             "device": form.model.in_detail.device,
             "overlay": form.result.overlay,
+            "in_colours": form.result.in_colours,
         }
         self.automatic = False
         # True once the user has chosen or deformed an image; new images then do not replace it.
@@ -159,6 +161,7 @@ class FormBinding:
                 self._image_is_fixed = self._image_is_fixed and bool(images)
                 if images:
                     self._session.select(images[0])
+                    layers_of(self._viewer).want(images[0])  # hidden as a second image
                 else:  # the next image gets the defaults of a first image
                     usual = ImageChoice()
                     form.tissue.border.value = usual.without_border
@@ -182,11 +185,19 @@ class FormBinding:
         self._image_is_fixed = True
 
     def use_layer(self, layer: Any) -> None:
-        """Choose a new layer as a paint layer, or as the image if no other image is in use."""
+        """Choose a new layer as a paint layer, as the image, or as the second image.
+
+        It becomes the image only if no other image is in use.
+        """
         session, is_offered = self._session, layer in self._form.image.offered
-        begun = self._image_is_fixed or (
-            session.image is not None and session.next_undo is not None
-        )
+        if is_offered and not self.automatic and self._choose_second(layer):
+            self.message.emit(SECOND.format(self._form.image.value.name, layer.name))
+            return
+        begun = self._image_is_fixed
+        if session.image is not None:
+            is_third = self._form.result.second.value is not None
+            is_third = is_third and may_be_second(session.image, layer)
+            begun = begun or is_third or session.next_undo is not None
         with self.automatically():
             if is_offered and not begun:
                 session.select(layer)
@@ -197,6 +208,29 @@ class FormBinding:
             covers = image is not None and image_covering(self._viewer, image) is layer
             # Another message reports that a layer covers the image.
             self.message.emit("" if covers else NOT_CHOSEN.format(layer.name))
+
+    def _choose_second(self, new: Any = None) -> bool:
+        """Choose the only other image that may show the same tissue; return True if chosen.
+
+        If `new` is given, only this layer is chosen. The layer is hidden if it is above the image
+        to deform.
+        """
+        image, second = self._session.image, self._form.result.second
+        if image is None or second.value is not None:
+            return False
+        painted = self._session.choice.layers
+        others = [layer for layer in second.offered if may_be_second(image, layer)]
+        others = [layer for layer in others if layer not in painted]
+        if len(others) != 1 or new not in (None, others[0]):
+            return False
+        chosen, layers = others[0], self._viewer.layers
+        with self.automatically():
+            second.value = chosen
+        if layers.index(chosen) > layers.index(image):
+            layers_of(self._viewer).want(chosen, wanted=False)
+        if layers.selection.active is chosen:  # napari makes each new layer active
+            layers.selection.active = image
+        return True
 
     def _use_painted(self, layer: Any) -> None:
         """Choose a painted layer for its role, unless that role already has a layer."""
@@ -297,6 +331,7 @@ class FormBinding:
         for layer in reversed(painted_on(image, self._viewer.layers, view)):
             if layer not in used_by_others:
                 self._use_painted(layer)
+        self._choose_second()
 
     def _show(self, choice: ImageChoice) -> None:
         """Show choices in the form, except layers that were removed."""

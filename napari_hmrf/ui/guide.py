@@ -57,7 +57,8 @@ class Guide:
         controller.progress.doing.connect(self._on_doing)
         pointer.changed.connect(self._on_tool)
         changes = (controller.slice_changed, controller.latest_changed)
-        chosen = form.result.overlay, form.model.model, form.model.in_detail.live
+        details = form.model.in_detail
+        chosen = form.result.overlay, form.result.second, form.model.model, details.live
         for signal in (*changes, *(each.changed for each in chosen)):
             signal.connect(self.show)
         controller.result_drawn.connect(self._on_followed)
@@ -106,7 +107,7 @@ class Guide:
             tool=tool.hint if is_active else "",
             tool_in_plane=tool.flat_hint,
             follows_surface=tool.follows_surface,
-            introduction=self._introduction if tool.name == "pull" else "",
+            introduction=self._pair_hint or self._introduction if tool.name == "pull" else "",
             paused=self._paused,
             is_painting=result is not None
             and result.is_before
@@ -117,6 +118,16 @@ class Guide:
             has_selection=tool.selected is not None,
             has_marks=bool(pointer.drawing.marks),
         )
+
+    @property
+    def _pair_hint(self) -> str:
+        """Hint about the second image until tissue moves, or ""."""
+        image: Any = self._session.image
+        second = self._form.result.second.value
+        is_moved = self._form.result.registration.is_registered or self._pointer.drawing.marks
+        if image is None or second is None or is_moved:
+            return ""
+        return messages.SECOND.format(image.name, second.name)
 
     @property
     def introduction(self) -> str:

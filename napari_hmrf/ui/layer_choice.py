@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from magicgui.widgets import ComboBox, PushButton
 from napari.layers import Image, Points, Shapes
 from psygnal import Signal
+from qtpy.QtWidgets import QMenu
 
 from napari_hmrf.layers.metadata import TISSUE, metadata_of, role_of
 from napari_hmrf.layers.slice_view import layer_extents
-from napari_hmrf.ui.forms import Form, narrow
+from napari_hmrf.ui.forms import Form, add_entry, narrow
 
 
 def is_picture(layer: Any) -> bool:
@@ -35,8 +37,6 @@ class LayerChoice(ComboBox):
     label, tooltip : str
     more : callable, optional
         Returns further choices, as pairs of title and value.
-    if_any : bool
-        If True, the menu is visible only if there is a layer to choose.
     """
 
     #: Emitted after the layers that can be chosen were listed.
@@ -49,9 +49,8 @@ class LayerChoice(ComboBox):
         label: str,
         tooltip: str,
         more: Callable[[], list[tuple[str, Any]]] = list,
-        if_any: bool = False,
     ) -> None:
-        self._layers, self._accept, self._if_any = layers, accept, if_any
+        self._layers, self._accept = layers, accept
         super().__init__(
             choices=lambda _: [*more(), *((layer.name, layer) for layer in self.offered)],
             nullable=True,
@@ -72,11 +71,68 @@ class LayerChoice(ComboBox):
             super().reset_choices()
             after = before if before in self.choices else None
             self.set_value(after)
-        if self._if_any:
-            self.visible = bool(self.offered)
         self.listed.emit()
         if after is not before:
             self.changed.emit(after)
+
+
+class LayerSubmenu:
+    """Choice of a layer in a submenu, for a choice that few users need.
+
+    Parameters
+    ----------
+    layers : callable
+        Returns the layers of the viewer, lowest first.
+    accept : callable
+        Returns whether a layer can be chosen.
+    title, about : str
+        Title of the submenu, and tooltip of its entries.
+    """
+
+    #: Emitted with the chosen layer, or None.
+    changed = Signal(object)
+
+    def __init__(
+        self,
+        layers: Callable[[], list[Any]],
+        accept: Callable[[Any], bool],
+        title: str,
+        about: str,
+    ) -> None:
+        self._layers, self._accept, self._title, self._about = layers, accept, title, about
+        self._value: Any = None
+
+    @property
+    def value(self) -> Any:
+        """Chosen layer, or None."""
+        return self._value
+
+    @value.setter
+    def value(self, layer: Any) -> None:
+        if layer is not self._value:
+            self._value = layer
+            self.changed.emit(layer)
+
+    @property
+    def offered(self) -> list[Any]:
+        """Layers that can be chosen, lowest first."""
+        return [layer for layer in self._layers() if self._accept(layer)]
+
+    def reset_choices(self, *_: Any) -> None:
+        """Clear the choice if the chosen layer was removed."""
+        if self._value not in self.offered:
+            self.value = None
+
+    def add_to(self, menu: QMenu) -> None:
+        """Add the submenu, with an entry for each layer, to a menu."""
+        within, offered = menu.addMenu(self._title), self.offered
+        within.setToolTipsVisible(True)
+        within.setEnabled(bool(offered))
+        choices = [("none", None), *((str(layer.name), layer) for layer in offered)]
+        for title, layer in choices:
+            entry = add_entry(within, title, self._about, partial(setattr, self, "value", layer))
+            entry.setCheckable(True)
+            entry.setChecked(layer is self._value)
 
 
 class LandmarkChoice(Form):

@@ -64,6 +64,11 @@ FROM_A_FILE = (
     f"Press {BUTTON} to solve again."
 )
 NOT_CHOSEN = "'{}' was not chosen, because another image is in use. To use it, choose it above."
+#: Message if a new image becomes the second image.
+SECOND = (
+    "Press 'Register' to move the tissue until '{0}' looks like '{1}', the second image. Or pull "
+    "tissue by hand."
+)
 #: Question before a reset.
 RESET = (
     "Remove all marks of '{}' and restore the default settings? Layers and tables are kept. Undo "

@@ -20,6 +20,7 @@ from napari_hmrf.study.study import Study
 from napari_hmrf.study.support import supports
 from napari_hmrf.ui.controller import Controller
 from napari_hmrf.ui.pair_job import PairJob
+from napari_hmrf.ui.registration_form import described
 
 #: Message after a registration of a study whose edge was fixed.
 _EDGE = (
@@ -85,7 +86,7 @@ class Registering(PairJob):
         # Delivered only if nothing was edited since: the inputs are compared.
         self._controller.engine.deliver_again(found.study, found.registration.solution)
         self._session.register(part, measured)
-        parts = ["Registered.", _EDGE if found.edge_was_fixed else ""]
+        parts = [described(measured), _EDGE if found.edge_was_fixed else ""]
         matrix = found.registration.matrix
         if not np.array_equal(matrix, np.eye(len(matrix))):
             place = found.study.grid.known_place

@@ -24,7 +24,10 @@ _ABOUT = (
 )
 #: Similarity below which images agree poorly.
 _POOR = 0.25
-_CHOOSE = "Choose a second image first: a later image of the same tissue, of the same kind"
+_CHOOSE = (
+    "Choose a second image above: a later image of the same tissue, of the same kind. Open it with "
+    "File > Open."
+)
 _ELASTIC = "Choose the model 'elastic' first (under 'Model'); other models do not support this"
 _ABOUT_FIT = (
     "Find the growth or the stiffness of tissues with which the image moves to the second image, "
@@ -51,7 +54,7 @@ class RegistrationForm(Container):
     fit : PushButton
         Button that opens the window for a fit of the tissues.
     description : Prose
-        Name of the second image, and agreement before and after; the caller places it.
+        Name of the second image, and agreement before and after.
     is_registered : bool
         True if the visible slice is registered.
     """
@@ -72,7 +75,8 @@ class RegistrationForm(Container):
             self.alignment.enabled = False
             self.alignment.tooltip = f"Requires SimpleITK: {how_to_install('medical')}"
         buttons, aligned = row(self.register, self.remove), Form([self.alignment])
-        super().__init__(widgets=[aligned, buttons, self.fit], labels=False)
+        parts = [buttons, self.description, aligned, self.fit]
+        super().__init__(widgets=parts, labels=False)
         for part in (self, buttons):
             part.margins = (0, 0, 0, 0)
 
@@ -101,8 +105,8 @@ class RegistrationForm(Container):
         conditions = (second_name, _CHOOSE), (is_elastic, _ELASTIC), (not is_busy, _ABOUT)
         _offer(self.register, _ABOUT, *conditions)
         self.is_registered = measured is not None
-        self.remove.enabled = self.is_registered and not is_busy
-        self.description.show_text(_described(measured))
+        self.remove.visible, self.remove.enabled = self.is_registered, not is_busy
+        self.description.show_text("" if measured is None else described(measured))
         self.shown.emit()
 
     def show_fit(self, *, has_second: bool, has_tissues: bool, is_elastic: bool) -> None:
@@ -128,10 +132,8 @@ def _offer(button: PushButton, about: str, *conditions: tuple[object, str]) -> N
     button.tooltip = missing[0] if missing else about
 
 
-def _described(measured: MeasuredMotion | None) -> str:
-    """Describe a registration; "" if there is none."""
-    if measured is None:
-        return ""
+def described(measured: MeasuredMotion) -> str:
+    """Describe a registration: the name of the second image, and the agreement of both images."""
     record = measured.record
     name, before, after = (record.get(key) for key in ("second image", "before", "similarity"))
     text = f"Registered to '{name}'." if name else "Registered."

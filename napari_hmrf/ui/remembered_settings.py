@@ -30,7 +30,7 @@ def remember(device: ComboBox) -> None:
     device.changed.connect(lambda value: store.setValue(_DEVICE, value))
 
 
-def remember_open(section: QCollapsible, name: str) -> None:
+def remember_open(section: QCollapsible, name: str, *, usual: bool = False) -> None:
     """Open a section if it was open in the last session, and store later changes.
 
     Parameters
@@ -38,8 +38,10 @@ def remember_open(section: QCollapsible, name: str) -> None:
     section : QCollapsible
     name : str
         Name of the section in the store, which stays the same if its title changes.
+    usual : bool
+        True if the section is open until the user closes it.
     """
     store, key = settings(), f"open/{name}"
-    if store.value(key, False, type=bool):
+    if store.value(key, usual, type=bool):
         section.expand(animate=False)
     section.toggled.connect(partial(store.setValue, key))

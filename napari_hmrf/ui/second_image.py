@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from napari.layers import Image, Labels
 from napari.layers.base import ActionType
 
 from napari_hmrf.errors import HmrfError
@@ -42,7 +43,7 @@ _DECIMALS = 6
 
 
 class SecondImage:
-    """View of a second image over the deformed image, and residuals of landmarks.
+    """View of a second image alone or over the deformed image, and residuals of landmarks.
 
     Residuals are measured when a result is selected, and when landmarks or chosen layers change.
 
@@ -76,6 +77,7 @@ class SecondImage:
         self._connections = EventConnections(
             (viewer.layers.events.inserted, self.refresh),
             (session.selected, self.refresh),
+            (session.displayed, self.refresh),
             (controller.outdated, self._on_outdated),
             (controller.deformation_changed, self._on_deformation),
             *((change, self.refresh) for change in changes),
@@ -84,18 +86,46 @@ class SecondImage:
         # Layer with the residuals, and the name of their feature column.
         self._residuals: tuple[Any, str] | None = None
         view.more.landmarks, view.more.set_sd = self.list_distances, self._set_sd
+        # Visibility of the second image before it is shown alone; None while it is not.
+        self._was_visible: bool | None = None
+        button = self._form.show_second.native
+        button.pressed.connect(self.show_alone)
+        button.released.connect(self.show_all)
 
     def release(self) -> None:
         """Restore all layers, and disconnect from all events."""
         self._connections.release()
         self._points.release()
+        self.show_all()
         self._draw(None, [])
+
+    def show_alone(self) -> None:
+        """Show the second image, and hide the other images, until `show_all`."""
+        second, written = self._form.second.value, layers_of(self._viewer)
+        if second is None or self._was_visible is not None:
+            return
+        self._was_visible = written.is_wanted(second)
+        others = [each for each in self._viewer.layers if each is not second]
+        written.hide_while(self, [each for each in others if isinstance(each, Image | Labels)])
+        written.want(second)
+
+    def show_all(self) -> None:
+        """Show the images again that `show_alone` has hidden."""
+        if self._was_visible is None:
+            return
+        second, written = self._form.second.value, layers_of(self._viewer)
+        if second is not None:
+            written.want(second, wanted=self._was_visible)
+        written.hide_while(self, ())
+        self._was_visible = None
 
     def refresh(self, *_: Any) -> None:
         """Show the second image over the deformed image, and measure the landmarks."""
         image = self._session.image
         moved = [] if image is None else [image, *self._results.pictures_of(image)]
-        self._draw(self._form.second.value, moved)
+        second = self._form.second.value
+        self._form.show_second.enabled = self._form.in_colours.enabled = second is not None
+        self._draw(second if self._session.display.in_colours else None, moved)
         self._points.release()
         pair = {*self._pair.pair} - {None}
         self._points = EventConnections(*((layer.events.data, self._on_points) for layer in pair))

@@ -5,6 +5,8 @@ import pytest
 from napari.components import ViewerModel
 
 from napari_hmrf.layers.image_choice import image_covering, image_in_front
+from napari_hmrf.ui.forms import Section
+from napari_hmrf.ui.messages import SECOND
 from napari_hmrf.ui.motion.motion_messages import START
 from tests.support.docks import quick
 
@@ -33,6 +35,41 @@ def test_a_new_dock_selects_the_image_that_is_selected_or_the_topmost_visible_im
     upper.visible = True
     viewer.layers.selection = {upper}
     assert image_in_front(viewer, images, [lower]) is lower, "the edited image was not selected"
+
+
+@pytest.mark.parametrize("is_open_before", [True, False])
+def test_of_two_scans_the_earlier_is_deformed_and_the_later_is_the_second_image(
+    frame, at_rest, is_open_before
+):
+    dock = frame.open() if is_open_before else None
+    earlier, later = (frame.viewer.add_image(GREY + each, name=f"scan {each}") for each in (0, 1))
+    dock = quick(dock or frame.open())
+    at_rest()
+    assert (dock.image, dock.compare_with) == (earlier, later)
+    assert [layer.visible for layer in (earlier, later)] == [True, False], "one covers the other"
+    assert dock.status == SECOND.format("scan 0", "scan 1")
+    (section,) = (each for each in dock.native.findChildren(Section) if "register" in each.text())
+    assert section.isExpanded()
+    third = frame.viewer.add_image(GREY, name="scan 3")
+    assert (dock.image, dock.compare_with) == (earlier, later)
+    frame.viewer.layers.remove(third)
+    dock.compare_with = None
+    frame.viewer.add_labels(GREY, name="labels")
+    assert dock.compare_with is None, "a cleared choice was chosen again"
+    frame.viewer.layers.remove(earlier)
+    assert (dock.image, later.visible) == (later, True)
+
+
+def test_a_sample_and_an_image_of_another_size_are_no_second_images(frame, small_sample):
+    dock = quick(frame.open())
+    first = frame.viewer.add_image(GREY, name="scan")
+    larger = frame.viewer.add_image(LARGER[..., 0], name="larger")
+    assert (dock.image, dock.compare_with) == (larger, None)
+    frame.viewer.layers.remove(larger)
+    assert dock.image is first
+    sample, *_ = small_sample(frame.viewer)
+    assert dock.image is sample
+    assert sample.visible
 
 
 def test_a_new_dock_selects_the_image_with_a_result(frame, small_sample, run, settle):

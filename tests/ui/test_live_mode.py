@@ -233,7 +233,7 @@ def test_the_removal_of_the_image_is_reported(live_dock, settle, at_rest):
     assert widget.image is viewer.layers["T1"]
     settle(widget)
     assert_newest(widget)
-    viewer.add_image(image.data, name="T2")
+    viewer.add_image(image.data, name="T2", translate=(0, 300))
     viewer.layers.remove("T1")
     assert widget.image is viewer.layers["T2"]
     viewer.layers.clear()

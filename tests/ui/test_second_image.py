@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from napari.layers import Image
 from qtpy.QtWidgets import QTableWidget
 
 from napari_hmrf import Arrow, Drawing, Landmark
@@ -31,7 +32,8 @@ def compared(frame, wait_for):
     after = viewer.add_image(np.roll(pixels, 2, axis=1), name="after", visible=False, **place)
     viewer.add_points(WHERE, name="is", **place)
     viewer.add_points(WHERE + BY, name="ought", **place)
-    dock.image = before
+    dock.image, dock.in_colours = before, True
+    dock.compare_with = None
     wait_for(lambda: not dock.busy)
     return viewer, dock, before, after
 
@@ -93,6 +95,21 @@ def test_a_second_image_is_displayed_before_the_first_motion_and_after_its_undo(
         wait_for(lambda: not dock.busy)
     dock.compare_with = None
     assert {before.colormap.name, shown.colormap.name} == {"gray"}
+
+
+def test_the_second_image_is_shown_alone_while_its_button_is_pressed(compared, wait_for):
+    viewer, dock, before, after = compared
+    screen, dock.compare_with = Screen(dock), after
+    screen.tick("both in colours", on=False)
+    after.visible = False
+    dock.drawing = Drawing((Arrow(at=(20, 20), by=(0, 2), radius=4.0),))
+    wait_for(lambda: dock.solution is not None and not dock.busy)
+    seen = [layer for layer in viewer.layers if layer.visible]
+    screen.hold("Show it (press)")
+    assert [each for each in viewer.layers if each.visible and isinstance(each, Image)] == [after]
+    assert (after.colormap.name, before.colormap.name) == ("gray", "gray")
+    screen.let_go("Show it (press)")
+    assert [layer for layer in viewer.layers if layer.visible] == seen
 
 
 def test_landmarks_that_are_not_observed_have_residuals_of_the_field(compared, wait_for):

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from magicgui.widgets import ComboBox, Container, PushButton, Slider
+from magicgui.widgets import CheckBox, ComboBox, Container, PushButton, Slider
 from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QProxyStyle, QPushButton, QSlider, QStyle, QVBoxLayout
 
 from napari_hmrf.layers.field_layer import holds_field
-from napari_hmrf.ui.forms import FixedText, Form, Prose, narrow, row
-from napari_hmrf.ui.layer_choice import LayerChoice, is_picture
+from napari_hmrf.ui.forms import FixedText, Form, narrow, row
+from napari_hmrf.ui.layer_choice import LayerChoice, LayerSubmenu, is_picture
 from napari_hmrf.ui.registration_form import RegistrationForm
 from napari_hmrf.ui.result.result_messages import NOTHING, OVERLAY_TIP, overlay_choices
 
@@ -50,13 +50,17 @@ class ResultForm(Container):
         Displacement of the tissue, and distances of the landmarks from their targets.
     overlay : ComboBox
     comparison : Container
-        Section with the second image and the known field; hidden if there is nothing to choose.
-    reference, second : LayerChoice
-        Known field and second image.
+        Section with the second image; hidden if there is none to choose.
+    second : LayerChoice
+        Second image.
+    show_second : PushButton
+        Button that shows the second image alone while it is pressed.
+    in_colours : CheckBox
+        Ticked if the second image is shown over the deformed image, both in colours.
+    reference : LayerSubmenu
+        Known field that the result is compared with, in the menu of `more`.
     registration : RegistrationForm
         Controls that register the image to the second image.
-    differences : Prose
-        Difference between the result and the known field.
     files : Container
         Row of the buttons `keep` and `more`.
     """
@@ -81,26 +85,31 @@ class ResultForm(Container):
             tooltip="Show the undeformed image while this button is pressed "
             f"(or {BEFORE_KEY} on the canvas)",
         )
-        self.how_far, self.landmarks, self.differences = FixedText(_LINES), FixedText(), Prose()
+        self.how_far, self.landmarks = FixedText(_LINES), FixedText()
         self.overlay = ComboBox(
             choices=overlay_choices("px"), value=NOTHING, label="overlay", tooltip=OVERLAY_TIP
         )
         narrow(self.overlay)
-        self.reference = LayerChoice(
+        self.reference = LayerSubmenu(
             layers,
             lambda layer: layer is not self._own_arrows and holds_field(layer),
-            "known field",
-            "Displacement field (File > Open) or another result; its difference from this result "
-            "is reported here, and 'overlay' offers a map of the difference",
-            if_any=True,
+            "Compare with a known field",
+            "Displacement field (File > Open) or another result; the dock reports its difference "
+            "from this result, and 'overlay' offers a map of the difference",
         )
         self.second = LayerChoice(
             layers,
             lambda layer: is_picture(layer) and layer is not image.value,
             "second image",
-            "Second image of the same tissue, such as a later scan, shown in green over the "
-            "deformed image in magenta; where both images agree, the sum is grey",
-            if_any=True,
+            "Second image of the same tissue, such as a later scan",
+        )
+        self.show_second = PushButton(
+            text="Show it (press)", tooltip="Show the second image while this button is pressed"
+        )
+        self.in_colours = CheckBox(
+            text="both in colours",
+            tooltip="Show the second image in green over the deformed image in magenta; where both "
+            "images agree, the sum is grey",
         )
         self.keep = PushButton(
             text="Save study ...",
@@ -115,10 +124,9 @@ class ResultForm(Container):
         self.files = row(self.keep)
         self.files.native.layout().addWidget(self.more)
         self.registration = RegistrationForm()
-        compared = self.reference, self.differences
-        self.comparison = Container(
-            widgets=[self.second, self.registration, self.registration.description, *compared]
-        )
+        pair, views = Form([self.second]), row(self.show_second, self.in_colours)
+        views.margins = (0, 0, 0, 0)
+        self.comparison = Container(widgets=[pair, views, self.registration], labels=False)
         slider = Container(widgets=[self.slider], labels=False)
         top, overlay = row(self.play, slider, self.before), Form([self.overlay])
         super().__init__(widgets=[top, overlay], labels=False)

@@ -101,7 +101,7 @@ class ResultMenu:
         show_message: Callable[[str], None],
         jobs: Jobs,
     ) -> None:
-        self._button, self._viewer = form.more, viewer
+        self._button, self._reference, self._viewer = form.more, form.reference, viewer
         self._look, self._show_message, self._jobs = shown, show_message, jobs
         #: Returns the rows of the table of landmarks, or None if there are none.
         self.landmarks: Callable[[], LandmarkRows | None] = lambda: None
@@ -291,6 +291,7 @@ class ResultMenu:
         about = "Distance of each landmark from its target, and its uncertainty (±), to be edited"
         pairs = self._add_entry(menu, "Landmarks ...", about, self._show_landmarks)
         pairs.setEnabled(self.landmarks() is not None)
+        self._reference.add_to(menu)
         along = menu.addMenu("Move along")
         along.setToolTipsVisible(True)
         layers = [each for each in self._viewer.layers if can_move(each) and each is not source]

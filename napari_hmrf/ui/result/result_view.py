@@ -431,11 +431,8 @@ class ResultView:
 
     def _show_distance(self, *_: Any) -> None:
         """Show the percentage, the largest displacement, the slice and the differences."""
-        text = difference = ""
+        text = ""
         if (shown := self.shown) is not None:
-            if self.comparison is not None:
-                answer = shown.answer
-                difference = self.comparison.in_words(answer.solution, answer.unit)
             percent, is_before = self._form.slider.value, shown.layers.is_before
             text = how_far(
                 shown.answer, shown.longest, percent, self.comparison, is_before=is_before
@@ -445,7 +442,6 @@ class ResultView:
             if shown.overlay is not None and percent == words.FULL and not is_before:
                 text = ". ".join(filter(None, (text.rstrip("."), shown.overlay.beyond)))
         self._form.how_far.show_text(self._pulled or text)
-        self._form.differences.show_text(difference)
 
     # Buttons and events
 
