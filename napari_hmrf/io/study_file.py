@@ -18,7 +18,8 @@ import numpy.typing as npt
 
 from napari_hmrf.archive import STORED, Archive, is_foreign
 from napari_hmrf.arguments import checked_target, require_kind
-from napari_hmrf.errors import FileFormatError, HmrfError
+from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
+from napari_hmrf.registration.study_registration import SecondPicture
 from napari_hmrf.solver.solution import SUM, Solution
 from napari_hmrf.solver.solve import Progress
 from napari_hmrf.study.ground import build_problem, solve_study
@@ -28,6 +29,42 @@ from napari_hmrf.study.study import Study, Tissue
 SUFFIX = ".study"
 #: Key of the record of the drawing in `Solution.frame`.
 _DRAWING = "drawing"
+
+
+@dataclass(frozen=True, eq=False)
+class SavedStudy:
+    """All that a study file contains; `StudyFile` is the part that scripts need.
+
+    Attributes
+    ----------
+    study : Study
+    solution : Solution or None
+    digest : str
+        Digest of the image, or "".
+    overlay : str
+        Name of the overlay in the window, or "".
+    second : SecondPicture or None
+        Second image on the grid of the study.
+    """
+
+    __pydantic_config__ = STORED
+
+    study: Study
+    solution: Solution | None = None
+    digest: str = ""
+    overlay: str = ""
+    second: SecondPicture | None = None
+
+    def __post_init__(self) -> None:
+        grid, second = self.study.grid, self.second
+        if self.solution is not None:
+            grid.require_grid_of(self.solution, "Use the solution of this study.")
+        if second is not None and not second.pixels.shape == second.known.shape == grid.shape:
+            raise ProblemError(
+                "second image",
+                f"has pixels of shape {second.pixels.shape}, but the study has the shape "
+                f"{grid.shape}. Use a second image on the grid of the study.",
+            )
 
 
 class StudyFile(NamedTuple):
@@ -51,7 +88,7 @@ def write_study(
     *,
     image: bool = True,
     overlay: str = "",
-    second: str = "",
+    second: SecondPicture | None = None,
 ) -> Path:
     """Write a study to a file atomically, optionally with its solution.
 
@@ -71,9 +108,8 @@ def write_study(
     overlay : str, optional
         Name of the overlay that the window shows when it opens the file, such as "equivalent" (see
         `SoftTissue.overlay`). By default, the window keeps its own choice.
-    second : str, optional
-        Name of the second image, which is not in the file. The window asks for this image when it
-        opens the file.
+    second : SecondPicture, optional
+        Second image on the grid of the study, which the window opens with the study.
 
     Returns
     -------
@@ -85,7 +121,8 @@ def write_study(
     ArgumentError
         If `study` is not a Study, `solution` is not a Solution, or `path` does not name a file.
     ProblemError
-        If the shape, spacing or place of the solution differs from that of the study.
+        If the shape, spacing or place of the solution, or the shape of the second image, differs
+        from that of the study.
     OSError
         If the folder does not exist or the file cannot be written; the message names the file.
     TypeError, ValueError
@@ -102,7 +139,7 @@ def write_study(
     digest = "" if pictures.image is None else _digest(pictures.image)
     if not image:
         study = replace(study, pictures=replace(pictures, image=None))
-    return _STUDIES.write(target, _Content(study, solution, digest, overlay, second))
+    return _STUDIES.write(target, SavedStudy(study, solution, digest, overlay, second))
 
 
 def read_study(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None = None) -> StudyFile:
@@ -127,18 +164,33 @@ def read_study(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None =
     OSError
         If the file cannot be opened.
     """
-    content = _STUDIES.read(path)
-    study, solution = content.study, content.solution
-    if content.digest and study.pictures.image is None and image is not None:
-        if _digest(image) != content.digest:
+    saved = read_saved(path)
+    study, solution = saved.study, saved.solution
+    if saved.digest and study.pictures.image is None and image is not None:
+        if _digest(image) != saved.digest:
             raise FileFormatError(
                 f"{Path(path).name}: the study was created from another image. Give the original "
                 f"image '{study.pictures.name}'."
             )
         study = replace(study, pictures=replace(study.pictures, image=image))
-    if solution is not None and not solution.unit:
-        solution = replace(solution, unit=study.grid.unit)
     return StudyFile(study, solution)
+
+
+def read_saved(path: str | os.PathLike[str]) -> SavedStudy:
+    """Read all that a study file contains, with what only the window uses.
+
+    Raises
+    ------
+    FileFormatError
+        If the file is damaged or not a study file.
+    OSError
+        If the file cannot be opened.
+    """
+    saved = _STUDIES.read(path)
+    solution = saved.solution
+    if solution is None or solution.unit:
+        return saved
+    return replace(saved, solution=replace(solution, unit=saved.study.grid.unit))
 
 
 def read_solved(path: str | os.PathLike[str]) -> tuple[Study | None, Solution]:
@@ -191,23 +243,8 @@ def is_study_file(path: str | os.PathLike[str]) -> bool:
 
 def image_named_in(path: str | os.PathLike[str]) -> str:
     """Return the image name in the header of a study file, or "" if it cannot be read."""
-    return _text_in(path, "study", "pictures", "name")
-
-
-def overlay_named_in(path: str | os.PathLike[str]) -> str:
-    """Return the name of the overlay in the header of a study file, or "" if there is none."""
-    return _text_in(path, "overlay")
-
-
-def second_image_named_in(path: str | os.PathLike[str]) -> str:
-    """Return the name of the second image in the header of a study file, or ""."""
-    return _text_in(path, "second")
-
-
-def _text_in(path: str | os.PathLike[str], *keys: str) -> str:
-    """Return a text in the header of a study file, or "" if it cannot be read."""
     value: Any = _STUDIES.header(path)
-    for key in keys:
+    for key in ("study", "pictures", "name"):
         value = value.get(key) if isinstance(value, dict) else None
     return value if isinstance(value, str) else ""
 
@@ -264,23 +301,6 @@ def replay(
     return solve_study(study, stated=build_problem(study), backend=backend, progress=progress)
 
 
-@dataclass(frozen=True, eq=False)
-class _Content:
-    """Content of a file; `digest` is that of the image, the names are those of the window."""
-
-    __pydantic_config__ = STORED
-
-    study: Study
-    solution: Solution | None = None
-    digest: str = ""
-    overlay: str = ""
-    second: str = ""
-
-    def __post_init__(self) -> None:
-        if self.solution is not None:
-            self.study.grid.require_grid_of(self.solution, "Use the solution of this study.")
-
-
 def _is_of_image(tissue: Tissue) -> bool:
     return tissue.labels is None and tissue.stiffness is None
 
@@ -297,4 +317,4 @@ def _without_drawing(solution: Solution) -> Solution:
 
 
 #: Kind of study files.
-_STUDIES = Archive("napari-hmrf study", _Content)
+_STUDIES = Archive("napari-hmrf study", SavedStudy)

@@ -31,10 +31,12 @@ from napari_hmrf.layers.metadata import (
 )
 from napari_hmrf.layers.pixel_copy import LayerCopies
 from napari_hmrf.layers.result_layers import layer_on
+from napari_hmrf.layers.second_picture import second_layer
 from napari_hmrf.layers.slice_view import View, check_size, frame_of, plane_shape, view_of
 from napari_hmrf.layers.stored_axes import stored_axes
 from napari_hmrf.layers.viewer_layers import shared
 from napari_hmrf.real_arrays import grid_in_words
+from napari_hmrf.registration.study_registration import SecondPicture
 from napari_hmrf.results.observation import arrow_observation
 from napari_hmrf.solver.volume_memory import STUDY, require_memory
 from napari_hmrf.study.session import BRIGHTNESS, ImageChoice, Part, Session
@@ -354,7 +356,7 @@ def look_of(layer: Any) -> dict[str, Any]:
     }
 
 
-def study_layers(study: Study) -> dict[str, Any]:
+def study_layers(study: Study, second: SecondPicture | None = None) -> dict[str, Any]:
     """Create the layers of a study; the inverse of `study_from_layers`.
 
     If the study has no place in world coordinates, the layers are at the origin. The drawing, the
@@ -363,12 +365,14 @@ def study_layers(study: Study) -> dict[str, Any]:
     Parameters
     ----------
     study : Study
+    second : SecondPicture, optional
+        Second image on the grid of the study.
 
     Returns
     -------
     dict of str to napari.layers.Layer
-        Layers in stacking order, with the keys "image", "tissue", "boundary" and "confidence"; the
-        keys of parts that the study lacks are omitted.
+        Layers in stacking order, with the keys "image", "second", "tissue", "boundary" and
+        "confidence"; the keys of parts that the study lacks are omitted.
     """
     grid, tissue, motion, pictures = study.grid, study.tissue, study.motion, study.pictures
     n = len(grid.shape)
@@ -390,6 +394,8 @@ def study_layers(study: Study) -> dict[str, Any]:
 
     if pictures.image is not None:
         add("image", pictures.name or "image", pictures.image, pictures.look, role=IMAGE)
+    if second is not None:
+        layers["second"] = Layer.create(*second_layer(second, frame))
     known = {"role": TISSUE, "unit": tissue.unit}
     if tissue.labels is not None:
         look = {"opacity": 0.4, **pictures.labels_look}

@@ -11,6 +11,7 @@ from scipy import ndimage
 from napari_hmrf.errors import LayerError
 from napari_hmrf.field.brightness import luminance
 from napari_hmrf.field.frame import Frame
+from napari_hmrf.layers.result_layers import LayerData, layer_on
 from napari_hmrf.layers.slice_view import View, frame_of, full_resolution, layer_extents
 from napari_hmrf.registration.alignment import matrix_in_pixels
 from napari_hmrf.registration.study_registration import SecondPicture
@@ -49,9 +50,12 @@ def second_picture(
     LayerError
         If the image has other units or lacks an axis of the study, or does not cover its grid.
     """
-    data = full_resolution(layer)
-    extents = layer_extents(layer)
+    data, extents = full_resolution(layer), layer_extents(layer)
     linear, origin = _to_pixels(layer, frame, view)
+    if (box := _box_of_sites(linear, origin, shape, extents)) is not None:
+        exact = _brightness(layer, data[box]).reshape(shape)
+        valid = np.isfinite(exact)
+        return SecondPicture(np.where(valid, exact, 0), valid, str(layer.name))
     ends = np.array(np.meshgrid(*((0, size - 1) for size in shape), indexing="ij"))
     corners = linear @ ends.reshape(len(shape), -1) + origin[:, None]
     low = np.floor(corners.min(axis=1) + _SAME).astype(int)
@@ -60,8 +64,7 @@ def second_picture(
         slice(min(max(first, 0), size - 1), max(min(past, size), 1))
         for first, past, size in zip(low, high, extents, strict=True)
     )
-    pixels = np.asarray(data[box])
-    pixels = (luminance(pixels) if layer.rgb else pixels).astype(np.float32)
+    pixels = _brightness(layer, data[box])
     sites = np.indices(shape, dtype=np.float32).reshape(len(shape), -1)
     places = linear.astype(np.float32) @ sites + origin.astype(np.float32)[:, None]
     last = np.array(extents)[:, None] - 1
@@ -81,6 +84,34 @@ def second_picture(
         covered = ndimage.map_coordinates(valid.astype(np.float32), places, order=1, mode="nearest")
         known &= covered > 1 - _SAME
     return SecondPicture(sampled.reshape(shape), known.reshape(shape), str(layer.name))
+
+
+def second_layer(picture: SecondPicture, frame: Frame) -> LayerData:
+    """Return the data of a hidden layer with a second image; pixels that are not known are NaN."""
+    pixels = np.where(picture.known, picture.pixels, np.nan).astype(np.float32)
+    return layer_on(frame, pixels, picture.name or "second image", {}, {"visible": False})
+
+
+def _brightness(layer: Any, pixels: Any) -> npt.NDArray[np.float32]:
+    """Return the brightness of pixels of a layer."""
+    read = np.asarray(pixels)
+    return (luminance(read) if layer.rgb else read).astype(np.float32)
+
+
+def _box_of_sites(
+    linear: npt.NDArray[np.float64],
+    origin: npt.NDArray[np.float64],
+    shape: tuple[int, ...],
+    extents: tuple[int, ...],
+) -> tuple[slice, ...] | None:
+    """Return the box of a layer whose pixels are the sites of a grid, or None if there is none."""
+    lead, first = len(extents) - len(shape), np.rint(origin).astype(int)
+    steps = np.concatenate([np.zeros((lead, len(shape))), np.eye(len(shape))])
+    apart = np.abs(linear - steps) @ np.array(shape) + np.abs(origin - first)
+    past = first + np.array([1] * lead + [*shape])
+    if apart.max() > _SAME or (first < 0).any() or (past > extents).any():
+        return None
+    return tuple(slice(begin, end) for begin, end in zip(first, past, strict=True))
 
 
 def _to_pixels(

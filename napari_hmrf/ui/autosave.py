@@ -131,7 +131,8 @@ class Autosave:
         except OSError as error:
             self._report(here, error)
             return
-        write = partial(self._files.writer(), files[here], study)
+        writer, _ = self._files.writer(study)
+        write = partial(writer, files[here], study)
         self._writer = threading.Thread(target=self._write, args=(here, write), daemon=True)
         self._writer.start()
 

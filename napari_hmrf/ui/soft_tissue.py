@@ -480,7 +480,6 @@ class SoftTissue(DockValues):
             self._fitting,
             self._sides,
             self._view,
-            self._files,
             self._autosave,
             self._unsaved,
             self._watch,

@@ -13,26 +13,22 @@ from psygnal import Signal
 from qtpy.QtWidgets import QFileDialog
 
 from napari_hmrf.errors import HmrfError
-from napari_hmrf.io.study_file import (
-    SUFFIX,
-    overlay_named_in,
-    read_study,
-    second_image_named_in,
-    write_study,
-)
+from napari_hmrf.io.study_file import SUFFIX, read_saved, write_study
 from napari_hmrf.layers.image_choice import is_same_image
 from napari_hmrf.layers.landmarks import read_landmarks
+from napari_hmrf.layers.pixel_copy import LayerCopies
 from napari_hmrf.layers.read import study_layers
-from napari_hmrf.layers.viewer_layers import layers_of
+from napari_hmrf.layers.second_picture import second_picture
+from napari_hmrf.layers.slice_view import frame_of
+from napari_hmrf.layers.viewer_layers import layers_of, shared
 from napari_hmrf.layers.viewer_undo import undo_of
+from napari_hmrf.registration.study_registration import SecondPicture
 from napari_hmrf.study.session import Part
 from napari_hmrf.study.study import Study
 from napari_hmrf.tissue.drawing.drawing import ends_of
 from napari_hmrf.ui import messages
 from napari_hmrf.ui.controller import Controller
-from napari_hmrf.ui.events import EventConnections, single_shot
 from napari_hmrf.ui.guide import Guide
-from napari_hmrf.ui.notice import Notice
 from napari_hmrf.ui.viewer_dock import Dock
 
 #: Characters that some systems do not allow in file names.
@@ -63,40 +59,29 @@ class StudyFiles:
     def __init__(self, dock: Dock, viewer: Any, controller: Controller, guide: Guide) -> None:
         self._dock, self._viewer, self._controller, self._guide = dock, viewer, controller, guide
         self._session = undo_of(viewer).session
-        # Image of an opened study, and the name of its second image, until this is in the viewer.
-        self._awaited: tuple[Any, str] = None, ""
-        self._missing = Notice()
-        dock.insert(0, self._missing)
-        # Deferred, because the menus list a new layer later.
-        self._second_timer = single_shot(dock.native, 0, self._choose_second)
-        self._connections = EventConnections(
-            (viewer.layers.events.inserted, self._on_images),
-            (self._session.selected, self._on_images),
-            (controller.form.result.second.changed, self._on_images),
-        )
 
-    def release(self) -> None:
-        """Disconnect from the viewer."""
-        self._connections.release()
-        self._second_timer.stop()
+    def writer(self, study: Study) -> tuple[Callable[..., Path], str]:
+        """Return `write_study` with the current overlay and second image of a study as arguments.
 
-    def writer(self) -> Callable[..., Path]:
-        """Return `write_study` with the current overlay and second image as arguments.
-
-        An overlay that needs a layer which is not in the file is omitted.
+        An overlay that needs a layer which is not in the file is omitted, and so is a second image
+        that cannot be read; the second value is the reason, or "".
         """
-        overlay = self._session.display.overlay
-        is_stored = overlay not in ("difference", "uncertainty")
-        return partial(write_study, overlay=overlay if is_stored else "", second=self._second)
+        overlay, second = self._session.display.overlay, self._session.choice.compare_with
+        is_stored, picture, reason = overlay not in ("difference", "uncertainty"), None, ""
+        if second is not None:
+            try:
+                picture = self._second_picture(second, study)
+            except Exception as error:  # noqa: BLE001 - a layer may raise anything
+                reason = messages.in_short(error)
+        write = partial(write_study, overlay=overlay if is_stored else "", second=picture)
+        return write, reason
 
-    @property
-    def _second(self) -> str:
-        """Name of the second image, or of the one that the opened study still lacks; or ""."""
-        chosen = self._controller.form.result.second.value
-        if chosen is not None:
-            return str(chosen.name)
-        image, name = self._awaited
-        return name if image is self._session.image else ""
+    def _second_picture(self, layer: Any, study: Study) -> SecondPicture:
+        """Return the second image on the grid of a study; the same object while nothing changes."""
+        place, shape, view = study.grid.known_place, study.grid.shape, self._controller.view
+        copies, own = shared(self._viewer, LayerCopies), frame_of(layer, view)
+        inputs = (copies.of(layer, own), own, place, shape, layer.name)
+        return copies.derive(layer, inputs, lambda: second_picture(layer, place, shape, view))
 
     # Saving
 
@@ -110,7 +95,8 @@ class StudyFiles:
         study = controller.reader.read(controller.reader.request())
         latest = session.result if session.shows(study) else None
         solution = None if latest is None else latest.outputs.solution
-        written, here = self.writer()(path, study, solution), session.slice
+        write, lacking = self.writer(study)
+        written, here = write(path, study, solution), session.slice
         place = study.grid.known_place.slice_seen
         has_slices = controller.form.extent.has_slices
         saved = f"the study of {_extent(place)} as {written.name}" if has_slices else written.name
@@ -118,6 +104,8 @@ class StudyFiles:
         sentences = [f"Saved {saved}{fieldless if solution is None else ''}."]
         if pairs := self._landmarks_apart(study):
             sentences.append(f"It lacks the landmarks of '{pairs}': press 'Use as landmarks'.")
+        if lacking:
+            sentences.append(f"It lacks the second image: {lacking}")
         others = [
             _extent(part.slice_name)
             for part in work.slices
@@ -176,19 +164,21 @@ class StudyFiles:
         If `reuse` is True, an open image without a drawing is used instead of an equal image of
         the file.
         """
-        (study, solution), controller = read_study(path), self._controller
+        saved, controller = read_saved(path), self._controller
+        study, solution = saved.study, saved.solution
         if solution is not None:
             controller.engine.start_from(solution)
-        layers = study_layers(study)
-        if reuse and "image" in layers:
-            layers["image"] = self._undrawn_image(layers["image"]) or layers["image"]
+        layers = study_layers(study, saved.second)
+        for name in ("image", "second"):
+            if reuse and name in layers:
+                layers[name] = self._undrawn_image(layers[name]) or layers[name]
         written = layers_of(self._viewer)
         with controller.binding.automatically():
-            for layer in layers.values():
-                if layer in self._viewer.layers:
+            for name, layer in layers.items():
+                if layer not in self._viewer.layers:
+                    written.add(layer, select=name != "second")
+                elif name != "second":
                     written.want(layer)
-                else:
-                    written.add(layer, select=True)
             if (frame := study.grid.place) is not None:
                 first = next(iter(layers.values()))
                 part = Part("drawing", first, frame.plane, (0,) * first.ndim)
@@ -210,10 +200,8 @@ class StudyFiles:
             controller.pointer.set_drawing(drawing, "")
         if (brightness := controller.curve_layer.layer) is not None and study.moves:
             written.want(brightness, wanted=False)  # would tint the deformed image
-        if (name := overlay_named_in(path)) in controller.form.result.overlay.choices:
-            self._session.choose_display(overlay=name)
-        self._awaited = self._session.image, second_image_named_in(path)
-        self._choose_second()
+        if saved.overlay in controller.form.result.overlay.choices:
+            self._session.choose_display(overlay=saved.overlay)
         self._dock.fit_view()
 
     def _undrawn_image(self, image: Any) -> Any:
@@ -224,28 +212,6 @@ class StudyFiles:
             if layer not in drawn and is_same_image(layer, image):
                 return layer
         return None
-
-    # Second image
-
-    def _on_images(self, *_: Any) -> None:
-        """Choose the missing second image once the menus list a new layer."""
-        self._second_timer.start()
-
-    def _choose_second(self) -> None:
-        """Choose the second image that an opened study names, once it is in the viewer."""
-        (image, name), second = self._awaited, self._controller.form.result.second
-        if name and image is self._session.image and second.value is None:
-            named = [layer for layer in second.offered if layer.name == name]
-            if named:
-                with self._controller.binding.automatically():
-                    second.value = named[-1]
-                self._awaited = None, ""
-        missing = self._second if second.value is None else ""
-        sentence = (
-            f"The study was saved with the second image '{missing}', which is not in its file. "
-            "Open this image to compare, register or fit."
-        )
-        self._missing.show_text(sentence if missing else "")
 
 
 def _extent(slice_name: str) -> str:

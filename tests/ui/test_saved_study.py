@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from napari.components import ViewerModel
-from qtpy.QtWidgets import QFileDialog, QLabel
+from qtpy.QtWidgets import QFileDialog
 
 from napari_hmrf import (
     Arrow,
@@ -140,28 +140,27 @@ def test_the_overlay_is_saved_with_a_study_and_shown_again(
     assert shown.visible
 
 
-def asks_for_after(dock):
-    """Return whether the dock asks for the image 'after'."""
-    labels = dock.native.findChildren(QLabel)
-    return any("second image 'after'" in each.text() for each in labels)
-
-
-def test_an_opened_study_asks_for_its_second_image_and_chooses_it(dock, viewer, wait_for, tmp_path):
-    first, second = (viewer.add_image(np.eye(*SHAPE), name=name) for name in ("before", "after"))
-    dock.image = first
-    dock.compare_with = second
-    path = dock.save_study(tmp_path / "pair")
-    viewer.layers.clear()
-    dock.open_study(path)
+def test_the_second_image_is_saved_with_a_study_and_opened_with_it(
+    dock, viewer, wait_for, tmp_path, open_alone
+):
+    pixels = np.random.default_rng(0).integers(0, 200, (2, *SHAPE), dtype=np.uint8)
+    place = {"scale": (0.5, 0.8), "units": ("mm", "mm")}
+    viewer.add_image(pixels[0], name="before", **place)
+    after = viewer.add_image(pixels[1], name="after", **place)
     wait_for(lambda: not dock.busy)
-    assert asks_for_after(dock)
+    assert dock.compare_with is after
+    path = dock.save_study(tmp_path / "pair")
+    assert read_study(path).solution is None
+    open_alone(path)
+    second = dock.compare_with
+    assert (dock.image.name, second.name, second.visible) == ("before", "after", False)
+    np.testing.assert_array_equal(second.data, pixels[1])
+    np.testing.assert_allclose(second.data_to_world((3, 4)), after.data_to_world((3, 4)))
+    second.translate = (1000, 0)
     again = dock.save_study(tmp_path / "again")
+    assert "It lacks the second image: 'after' does not cover the image" in dock.status
+    open_alone(again)
     assert dock.compare_with is None
-    viewer.add_image(np.eye(*SHAPE), name="after")
-    wait_for(lambda: dock.compare_with is not None and not asks_for_after(dock))
-    assert dock.image.name == "before"
-    dock.open_study(again)
-    assert dock.compare_with.name == "after", "the layer is in the viewer already"
 
 
 def test_a_study_without_a_known_overlay_leaves_the_chosen_overlay(dock, tmp_path):
