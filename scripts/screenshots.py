@@ -325,9 +325,8 @@ def landmarks() -> None:
         for pixel in pixels:
             window.drag(pixel)
     choice = form.boundary.landmarks
-    window.show(choice.sources)
-    window.choose(choice.sources, layers[0].name)
-    window.click(choice.take_button)
+    window.take("landmark")
+    window.click(choice.take_button)  # both layers are chosen already
     window.keep("tutorials/images/landmarks-points")
     window.close()
 

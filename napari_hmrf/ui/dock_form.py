@@ -52,7 +52,7 @@ _SECTIONS = {
     ),
     "edges": (
         "Boundary and gravity",
-        "Outer edge, painted regions that are held or moved, landmark layers, weight, and cavities",
+        "Outer edge, painted regions that are held or moved, weight, and cavities",
     ),
     "model": ("Model", "Model of the tissue, with advice on its use"),
     "advanced": ("Advanced", "Settings of the solver; the default settings suit most studies"),
@@ -134,7 +134,7 @@ class DockForm:
     def choices(self) -> tuple[LayerChoice | LayerSubmenu, ...]:
         """Layer menus."""
         boundary, result = self.motion.boundary, self.result
-        marks = (boundary.landmarks.sources, boundary.landmarks.targets)
+        marks = (self.motion.landmarks.sources, self.motion.landmarks.targets)
         compared = (result.reference, result.second)
         tissue = self.tissue.choice
         return (self.image, tissue, boundary.choice, boundary.confidence, *marks, *compared)
@@ -213,7 +213,7 @@ class DockForm:
         self._show_comparison()
         FontFollower(self.motion.fields.radius.native, [*self.motion.tools.values(), *self.tables])
         # Nested widgets, which magicgui does not list, follow the forms that contain them.
-        inner = (self.tissue, self.tissue.editor, self.motion.boundary.landmarks)
+        inner = (self.tissue, self.tissue.editor)
         for form in (body, *parts.values(), *inner, self.result):
             name_fields(form)
 

@@ -153,8 +153,8 @@ class FormBinding:
         with self.automatically():
             for choice in form.choices:
                 choice.reset_choices()
-            form.motion.boundary.landmarks.refresh()
-            form.motion.boundary.landmarks.suggest()
+            form.motion.landmarks.refresh()
+            form.motion.landmarks.suggest()
             if before is not None and self._session.image is None:
                 others = (form.tissue.choice.value, form.motion.boundary.confidence.value)
                 images = [layer for layer in form.image.offered if layer not in others]

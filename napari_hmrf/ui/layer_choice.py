@@ -136,7 +136,9 @@ class LayerSubmenu:
 
 
 class LandmarkChoice(Form):
-    """Menus for landmarks and their targets, visible only if there is a Points or Shapes layer.
+    """Menus for landmarks and their targets.
+
+    They are visible with the tool *Landmark* if there is a Points or Shapes layer.
 
     Parameters
     ----------
@@ -148,8 +150,11 @@ class LandmarkChoice(Form):
     sources, targets : LayerChoice
         Menus for two Points layers of equal length, or for one Shapes layer of lines.
     take_button : PushButton
-        Button that adds the landmarks to the drawing.
+        Button that adds the landmarks to the drawing again, after their layers have changed.
     """
+
+    #: Emitted when a landmark layer was chosen, with its targets, except by `suggest`.
+    chosen = Signal()
 
     def __init__(self, layers: Callable[[], list[Any]]) -> None:
         self.sources = LayerChoice(
@@ -166,12 +171,15 @@ class LandmarkChoice(Form):
         )
         self.take_button = PushButton(
             text="Use as landmarks",
-            tooltip="Add these landmarks to the drawing; landmarks added before are replaced",
+            tooltip="Add these landmarks to the drawing, again if their layers have changed; "
+            "landmarks added before are replaced",
         )
+        self._is_for_tool = self._is_suggesting = False
         # Layers that were chosen automatically before; the user may have cleared the choice.
         self._suggested: weakref.WeakSet[Points] = weakref.WeakSet()
         super().__init__([self.sources, self.targets, self.take_button])
         self.sources.changed.connect(self._on_sources)
+        self.targets.changed.connect(self._on_targets)
         self.refresh()
 
     @property
@@ -190,11 +198,19 @@ class LandmarkChoice(Form):
         counts = [len(layer.data) for layer in points]
         if len(points) == 2 and counts[0] == counts[1] > 0 and {*points} != {*self._suggested}:
             self._suggested = weakref.WeakSet(points)
+            self._is_suggesting = True
             self.sources.value = points[0]
+            self._is_suggesting = False
+
+    def show_for(self, tool: str) -> None:
+        """Show the menus with the tool *Landmark*, and hide them with other tools."""
+        if (tool == "landmark") is not self._is_for_tool:
+            self._is_for_tool = tool == "landmark"
+            self.refresh()
 
     def refresh(self) -> None:
         """Update which widgets are visible and enabled."""
-        self.visible = bool(self.sources.offered)
+        self.visible = self._is_for_tool and bool(self.sources.offered)
         self.targets.visible = not isinstance(self.sources.value, Shapes)
         self.take_button.enabled = self.sources.value is not None
 
@@ -204,7 +220,15 @@ class LandmarkChoice(Form):
         others = self.targets.offered
         if isinstance(layer, Points) and self.targets.value is None and len(others) == 1:
             self.targets.value = others[0]
+        else:
+            self._on_targets()
         self.refresh()
+
+    def _on_targets(self, *_: Any) -> None:
+        sources, targets = self.pair
+        is_complete = isinstance(sources, Shapes) or None not in (sources, targets)
+        if is_complete and not self._is_suggesting:
+            self.chosen.emit()
 
 
 class ExtentChoice(ComboBox):

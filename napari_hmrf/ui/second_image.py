@@ -65,7 +65,7 @@ class SecondImage:
         self._session = session
         self._results = shared(viewer, ResultLayers)
         self._form = controller.form.result
-        self._pair = controller.form.motion.boundary.landmarks
+        self._pair = controller.form.motion.landmarks
         # Settings of the compared layers, and visibility of the second image and the layer below
         # it, before the comparison.
         self._before: dict[Any, dict[str, Any]] = {}

@@ -385,12 +385,9 @@ class SoftTissue(DockValues):
         form.tissue.editor.guess.changed.connect(
             lambda: self._try(lambda: self.tissue_from_intensity(controller.reader.first_curve()))
         )
-        points = form.motion.boundary.landmarks
-        points.take_button.changed.connect(
-            lambda _: self._try(
-                lambda: self.take_landmarks(*points.pair, radius=form.motion.fields.patch_radius)
-            )
-        )
+        points = form.motion.landmarks
+        for signal in (points.chosen, points.take_button.changed):
+            signal.connect(self._on_landmarks, max_args=0)
         form.motion.picked.connect(self._on_tool)
         form.footer.remove.triggered.connect(lambda: self.remove())
         form.footer.remove_all.triggered.connect(lambda: self.clear())
@@ -414,6 +411,12 @@ class SoftTissue(DockValues):
         self._view.message.connect(self.show_message)
         self._watch.first_image_ready.connect(self._on_first)
 
+    def _on_landmarks(self) -> None:
+        """Add the landmarks of the chosen layers to the drawing."""
+        motion = self._form.motion
+        take = partial(self.take_landmarks, radius=motion.fields.patch_radius)
+        self._try(lambda: take(*motion.landmarks.pair))
+
     def _on_reset(self) -> None:
         """Ask, and reset the study."""
         button = QMessageBox.StandardButton
@@ -427,6 +430,7 @@ class SoftTissue(DockValues):
         motion, pointer = self._form.motion, self._pointer
         if not pointer.tool.is_dragging:  # a drag does not change the widgets below
             motion.show_tool(pointer.tool.name if pointer.active else "")
+            motion.landmarks.show_for(pointer.tool.name)
             pointer.report_tool()
 
     def _try(self, action: Callable[[], object]) -> None:

@@ -137,7 +137,7 @@ class StudyFiles:
     def _landmarks_apart(self, study: Study) -> str:
         """Return the name of the landmark layer if any of its pairs was not added, else ""."""
         form, grid = self._controller.form, study.grid
-        where, should = form.motion.boundary.landmarks.pair
+        where, should = form.motion.landmarks.pair
         taken = [ends_of(mark, grid.spacing) for mark in study.motion.drawing.marks]
         if where is None:
             return ""

@@ -17,7 +17,7 @@ from napari_hmrf.layers.slice_view import View
 from napari_hmrf.study.session import BRIGHTNESS
 from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.curve.editor import CurveEditor
-from napari_hmrf.ui.layer_choice import LandmarkChoice, LayerChoice
+from napari_hmrf.ui.layer_choice import LayerChoice
 from napari_hmrf.ui.tissue_tables import BoundaryTable, MaterialMenu, MaterialTable
 
 Layers = Callable[[], list[Any]]
@@ -128,14 +128,12 @@ class TissueSection(_PaintedSection[MaterialTable]):
 
 
 class BoundarySection(_PaintedSection[BoundaryTable]):
-    """Section for the boundary (Labels with rules, or Vectors with confidence) and landmarks.
+    """Section for the boundary: Labels with rules, or Vectors with confidence.
 
     Attributes
     ----------
     confidence : LayerChoice
         Confidence of the Vectors layer.
-    landmarks : LandmarkChoice
-        Menus for landmark layers; usable with or without a boundary layer.
     """
 
     def __init__(self, layers: Layers, view: Shown) -> None:
@@ -144,8 +142,7 @@ class BoundarySection(_PaintedSection[BoundaryTable]):
             lambda layer: isinstance(layer, Labels | Vectors) and "kind" not in metadata_of(layer),
             "boundary",
             "Labels layer with regions to hold or move, or Vectors layer with observed "
-            "displacements, such as a field from File > Open. To choose landmarks below, add a "
-            "Points or Shapes layer.",
+            "displacements, such as a field from File > Open",
         )
         self.confidence = LayerChoice(
             layers,
@@ -156,8 +153,6 @@ class BoundarySection(_PaintedSection[BoundaryTable]):
             lambda: [("edges of the image", EDGES)],
         )
         super().__init__(choice, [self.confidence], BoundaryTable(view))
-        self.landmarks = LandmarkChoice(layers)
-        self.native.layout().addWidget(self.landmarks.native)
         self.confidence.changed.connect(lambda _: self.edited.emit())
 
     def _on_choice(self, layer: Any) -> None:

@@ -207,7 +207,7 @@ class ViewerWatch:
         if self._reads(layer):
             self._controller.schedule_refresh()
         if isinstance(layer, Points):
-            self._form.motion.boundary.landmarks.suggest()
+            self._form.motion.landmarks.suggest()
 
     def _reads(self, layer: Any) -> bool:
         """Return whether the study is read from a layer."""

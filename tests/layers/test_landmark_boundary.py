@@ -143,7 +143,7 @@ def chosen(widget, small_sample):
 
 
 def menus(widget):
-    return widget._form.motion.boundary.landmarks
+    return widget._form.motion.landmarks
 
 
 def test_menus_for_landmarks_appear_and_select_the_other_layer_of_points(chosen):
@@ -160,12 +160,13 @@ def test_menus_for_landmarks_appear_and_select_the_other_layer_of_points(chosen)
 
 
 def test_menus_for_landmarks_are_hidden_without_points(widget):
-    for section in widget._form.sections.values():
-        section.expand(animate=False)
+    widget.tool = "landmark"
     assert not menus(widget).native.isVisibleTo(widget.native)
     widget._viewer.add_points([[1.0, 2.0]])
     assert menus(widget).native.isVisibleTo(widget.native)
     assert not menus(widget).take_button.enabled, "the button is enabled without a choice"
+    widget.tool = "pull"
+    assert not menus(widget).native.isVisibleTo(widget.native)
 
 
 def test_points_replace_a_boundary_layer(chosen, run):
@@ -268,6 +269,5 @@ def test_lines_are_imported_without_a_second_layer(widget, small_sample, run):
     widget.model = "elastic"
     menus(widget).sources.value = drawn
     assert not menus(widget).targets.visible
-    menus(widget).take_button.changed.emit(True)
     assert run(widget) is not None, widget.status
     np.testing.assert_allclose(widget.solution.displacement[8, 8], (2, 0), atol=0.1)

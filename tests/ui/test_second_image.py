@@ -128,7 +128,7 @@ def test_landmarks_that_are_not_observed_have_residuals_of_the_field(compared, w
 
 def test_choosing_the_target_layer_as_source_swaps_the_layers(compared):
     viewer, dock, *_ = compared
-    pair = dock._form.motion.boundary.landmarks
+    pair = dock._form.motion.landmarks
     there, ought = viewer.layers["is"], viewer.layers["ought"]
     pair.sources.value = there
     assert pair.targets.value is ought, "the only other layer was not selected"
@@ -142,7 +142,7 @@ def test_choosing_the_target_layer_as_source_swaps_the_layers(compared):
 
 def test_two_layers_of_points_are_chosen_once_as_landmarks(compared):
     viewer, dock, *_ = compared
-    pair = dock._form.motion.boundary.landmarks
+    pair = dock._form.motion.landmarks
     assert pair.pair == (viewer.layers["is"], viewer.layers["ought"])
     pair.sources.value = None
     pair.targets.value = None
@@ -172,7 +172,7 @@ def test_the_distance_of_each_landmark_is_listed_in_a_table(compared, wait_for):
 
 def test_a_standard_deviation_is_typed_into_the_table_of_landmarks(compared, wait_for):
     _, dock, _, _ = compared
-    dock._form.motion.boundary.landmarks.sources.value = None
+    dock._form.motion.landmarks.sources.value = None
     marks = [Landmark((20, at), (24.0, at), 2.0) for at in (20, 40)]
     dock.drawing = Drawing(marks)
     wait_for(lambda: "apart before" in dock.residual and not dock.busy)
@@ -251,7 +251,7 @@ def test_landmarks_of_the_drawing_are_listed_if_the_layers_have_no_valid_pairs(c
 
 def test_distances_are_those_of_the_last_result_after_a_refused_edit(compared, wait_for):
     _, dock, _, _ = compared
-    dock._form.motion.boundary.landmarks.sources.value = None
+    dock._form.motion.landmarks.sources.value = None
     dock._form.motion.switches.hold_edge.value = False
     dock.drawing = Drawing([Landmark((20, at), (24.0, at), 2.0, sd=1.0) for at in (20, 40)])
     wait_for(lambda: "apart before" in dock.residual and not dock.busy)
@@ -268,7 +268,7 @@ def test_distances_are_those_of_the_last_result_after_a_refused_edit(compared, w
 
 def test_drawn_landmarks_have_residuals_without_a_layer_of_points(compared, wait_for):
     _, dock, _, _ = compared
-    dock._form.motion.boundary.landmarks.sources.value = None
+    dock._form.motion.landmarks.sources.value = None
     dock.drawing = Drawing((Landmark((20, 20), (22.0, 20.0), 2.0),))
     wait_for(lambda: "apart before" in dock.residual and not dock.busy)
     before, now, count = numbers(dock.residual)

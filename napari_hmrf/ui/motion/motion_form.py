@@ -18,6 +18,7 @@ from napari_hmrf.layers.slice_view import View
 from napari_hmrf.study.session import ImageChoice
 from napari_hmrf.study.study import SWITCHES
 from napari_hmrf.ui.forms import Section
+from napari_hmrf.ui.layer_choice import LandmarkChoice
 from napari_hmrf.ui.motion.load_forms import CavityForm, WeightForm
 from napari_hmrf.ui.motion.tool import Tool
 from napari_hmrf.ui.motion.tool_fields import ToolFields
@@ -53,6 +54,8 @@ class MotionForm(Container):
     more : Section
         Section with the tools that are needed less often.
     fields : ToolFields
+    landmarks : LandmarkChoice
+        Menus for landmark layers, visible with the tool *Landmark*.
     edges : Container
         Section with the outer edge, the boundary, the weight and the cavity.
     switches : Container
@@ -77,7 +80,7 @@ class MotionForm(Container):
             "Brushes to release, push and remove tissue, to let it slide, and to change its kind "
             "and its confidence; and further settings of the tools"
         )
-        self.fields = ToolFields()
+        self.fields, self.landmarks = ToolFields(), LandmarkChoice(layers)
         self.switches = Container(
             widgets=[
                 CheckBox(
@@ -94,7 +97,7 @@ class MotionForm(Container):
         self.boundary = BoundarySection(layers, view)
         parts = [self.switches, self.boundary, self.weight, self.cavity]
         self.edges = Container(widgets=parts, labels=False)
-        super().__init__(widgets=[self.fields], labels=False)
+        super().__init__(widgets=[self.fields, self.landmarks], labels=False)
         for container in (self.boundary, self.switches):
             container.margins = (0, 0, 0, 0)
         for name, button in self.tools.items():
