@@ -84,7 +84,7 @@ def sample_pair() -> list[LayerData]:
     brain, after = image_pair()
     image, tissue, _ = phantom_layers(brain)
     image[1]["name"] = "Before"
-    second = {"name": "After", "visible": False}
+    second = {"name": "After", "metadata": layer_metadata(IMAGE), "visible": False}
     return [image, tissue, (after.copy(), second, "image")]
 
 

@@ -60,9 +60,10 @@ def may_be_second(image: Any, other: Any) -> bool:
     """Return whether another image may show the tissue of an image, such as a later scan.
 
     This is the case if both have the same axes and units, and cover about the same box in the
-    world, unless the other image has the role of an image to deform, as in samples.
+    world. Different samples do not show the same tissue.
     """
-    if role_of(other) == IMAGE or (image.ndim, image.units) != (other.ndim, other.units):
+    one, two = ((each.ndim, each.units, each.source.sample) for each in (image, other))
+    if one != two:
         return False
     extents = [each.extent for each in (image, other)]
     boxes = np.array([(each.world[0], each.world[1] + each.step) for each in extents], float)

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 from napari.layers import Layer
+from napari.layers._source import layer_source
 
 
 def dock_in(viewer):
@@ -29,7 +30,8 @@ def forget_choice(dock):
 
 def open_sample(viewer, layers):
     """Add the layers of a sample to a viewer, as its menu entry does."""
-    return [viewer.add_layer(Layer.create(*each)) for each in layers]
+    with layer_source(sample=("tests", f"sample above {len(viewer.layers)} layers")):
+        return [viewer.add_layer(Layer.create(*each)) for each in layers]
 
 
 def viewer_of(dock):

@@ -8,7 +8,7 @@ from napari_hmrf.layers.image_choice import image_covering, image_in_front
 from napari_hmrf.ui.forms import Section
 from napari_hmrf.ui.messages import SECOND
 from napari_hmrf.ui.motion.motion_messages import START
-from tests.support.docks import quick
+from tests.support.docks import open_sample, quick
 
 GREY = (np.indices((20, 24)).sum(axis=0) % 5 * 50).astype(np.uint8)
 LARGER = np.full((64, 48, 3), 200, np.uint8)
@@ -60,15 +60,15 @@ def test_of_two_scans_the_earlier_is_deformed_and_the_later_is_the_second_image(
     assert (dock.image, later.visible) == (later, True)
 
 
-def test_a_sample_and_an_image_of_another_size_are_no_second_images(frame, small_sample):
+def test_a_sample_and_an_image_of_another_size_are_no_second_images(frame):
     dock = quick(frame.open())
     first = frame.viewer.add_image(GREY, name="scan")
     larger = frame.viewer.add_image(LARGER[..., 0], name="larger")
     assert (dock.image, dock.compare_with) == (larger, None)
     frame.viewer.layers.remove(larger)
     assert dock.image is first
-    sample, *_ = small_sample(frame.viewer)
-    assert dock.image is sample
+    sample, *_ = open_sample(frame.viewer, [(GREY, {"name": "sample"}, "image")])
+    assert (dock.image, dock.compare_with) == (sample, None)
     assert sample.visible
 
 

@@ -653,7 +653,7 @@ def test_missing_boundary_conditions_are_reported_without_a_boundary_layer(
 
 def test_a_painted_boundary_releases_the_edge_and_a_new_boundary_fixes_it(widget, small_sample):
     viewer = viewer_of(widget)
-    viewer.add_image(np.ones((20, 24)), name="T1")
+    viewer.add_image(np.ones((8, 9)), name="T1")
     assert widget.hold_edge
     small_sample(viewer)
     assert not widget.hold_edge
