@@ -92,6 +92,9 @@ speed: setup
 window: setup-for-windows
 	@$(HEADLESS) $(RUN) -m benchmarks.window $(if $(AGAINST),--against $(AGAINST))
 
+first-use: setup-for-windows
+	@$(HEADLESS) $(RUN) -m benchmarks.first_use $(if $(AGAINST),--against $(AGAINST))
+
 routes: setup-for-windows
 	@$(HEADLESS) $(RUN) -m benchmarks.routes
 

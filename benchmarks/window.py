@@ -25,21 +25,19 @@ import argparse
 import math
 import os
 import sys
-import threading
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, get_args
 
-import napari
 import numpy as np
-from qtpy.QtCore import QEvent, QEventLoop, QObject, QPoint, QPointF, Qt, QTimer
-from qtpy.QtGui import QMouseEvent
+from qtpy.QtCore import QEvent, QPoint, QPointF
 from qtpy.QtWidgets import QApplication
 
 from benchmarks.checkouts import Turn, checkout, in_turn, ratio, serve, start_workers
 from benchmarks.clock import conditions, now, since
+from benchmarks.real_window import Poster, Window
 from benchmarks.speed import textured_head
 from benchmarks.table import head, line
 from napari_hmrf.data import phantom
@@ -61,61 +59,6 @@ _MOUSE, _TURN = 100.0, 2.0
 _ASKING = 0.003
 # Longest wait for a picture, in seconds.
 _LATEST = 300.0
-_LEFT = Qt.MouseButton.LeftButton
-
-
-class Window:
-    """Window with the dock and an image of tissue, in which a drag is simulated."""
-
-    _dock: Any
-
-    def __init__(self) -> None:
-        self.viewer = napari.Viewer(show=False)
-        self._canvas: Any = self.viewer.window._qt_viewer.canvas
-        self._native = self._canvas.native
-        self._shown: list[float] = []
-        self._native.frameSwapped.connect(lambda: self._on_frame(now().wall))
-
-    def add_dock(self) -> Any:
-        """Add the dock of the package, show the window, and return the dock."""
-        _, dock = self.viewer.window.add_plugin_dock_widget("napari-hmrf", "Soft tissue")
-        self.viewer.show()
-        return dock
-
-    def settle(self) -> None:
-        """Wait until there are no pending results."""
-        self.wait(0.3)
-        while self._dock.busy:
-            self.wait(0.1)
-
-    def wait(self, seconds: float) -> None:
-        """Run the event loop of the window for a number of seconds."""
-        loop = QEventLoop()
-        QTimer.singleShot(round(1000 * seconds), loop.quit)
-        loop.exec()
-
-    def resize(self, width: int, height: int) -> None:
-        """Give the window a size; docks request space when they are added, so wait for them."""
-        self.wait(1.0)
-        self.viewer.window.resize(width, height)
-        self.wait(1.0)
-        self.viewer.reset_view()
-        self.wait(0.5)
-
-    def send(self, kind: QEvent.Type, place: QPointF) -> None:
-        """Send an event of the left button at a position on the canvas."""
-        none = Qt.MouseButton.NoButton
-        pressed = none if kind == QEvent.Type.MouseButtonRelease else _LEFT
-        changed = none if kind == QEvent.Type.MouseMove else _LEFT
-        there = QPointF(self._native.mapToGlobal(place.toPoint()))
-        modifiers = Qt.KeyboardModifier.NoModifier
-        QApplication.sendEvent(
-            self._native, QMouseEvent(kind, place, there, changed, pressed, modifiers)
-        )
-
-    def _on_frame(self, at: float) -> None:
-        """Note that the canvas has been shown on the screen."""
-        self._shown.append(at)
 
 
 class ImageWindow(Window):
@@ -163,8 +106,8 @@ class ImageWindow(Window):
             self._dock.tool = self._kind
             self._dock.fields.by_col.value = 0.02 * self._size
         self.settle()
-        mouse = _Poster(self._on_mouse, 1 / _MOUSE, compress=True)
-        questions = _Poster(lambda asked: None, _ASKING)
+        mouse = Poster(self._on_mouse, 1 / _MOUSE, compress=True)
+        questions = Poster(lambda asked: None, _ASKING)
         self._begun = now().wall
         self.send(QEvent.Type.MouseButtonPress, self._place(0.0))
         self.wait(0.5)
@@ -293,62 +236,6 @@ class VolumeWindow(Window):
 
 def _is_longer(values: Sequence[Any], count: int) -> bool:
     return len(values) > count
-
-
-class _Poster(QObject):
-    """Object that posts events to the GUI thread at a constant rate, from a separate thread.
-
-    Parameters
-    ----------
-    answer : callable
-        Function called on the GUI thread with the time of the post.
-    pause : float
-        Interval between posts, in seconds.
-    compress : bool
-        True if a pending post is replaced by the next post; False if all posts are answered.
-    """
-
-    _KIND = QEvent.Type(QEvent.registerEventType())
-
-    def __init__(
-        self, answer: Callable[[float], None], pause: float, compress: bool = False
-    ) -> None:
-        super().__init__()
-        self._answer, self._pause, self._compress = answer, pause, compress
-        self._lock = threading.Lock()
-        self._pending: list[float] = []
-        self._over = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
-        self.waits: list[float] = []
-
-    def start(self) -> None:
-        """Start posting."""
-        self._thread.start()
-
-    def stop(self) -> None:
-        """Stop posting."""
-        self._over.set()
-        self._thread.join()
-
-    def customEvent(self, event: QEvent) -> None:
-        """Answer the pending posts."""
-        with self._lock:
-            pending, self._pending = self._pending, []
-        if pending:
-            answered = now().wall
-            self.waits += [answered - posted for posted in pending]
-            self._answer(pending[-1])
-
-    def _run(self) -> None:
-        began, count = now(), 0
-        while not self._over.wait(max(0.0, (count + 1) * self._pause - since(began).wall)):
-            count += 1
-            with self._lock:
-                is_posted = bool(self._pending)
-                posted = now().wall
-                self._pending = [posted] if self._compress else [*self._pending, posted]
-            if not is_posted:
-                QApplication.postEvent(self, QEvent(self._KIND))
 
 
 def work(kind: str, size: str) -> None:
