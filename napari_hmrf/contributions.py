@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial, wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,50 +38,75 @@ from napari_hmrf.samples.head import GROWTH, SAMPLE_SIZE, head_phantom
 from napari_hmrf.samples.mri import MRI_SCALE, mri_slices
 from napari_hmrf.samples.phantoms import image_pair, sample
 from napari_hmrf.solver.solution import Solution, is_solution_file
+from napari_hmrf.ui import opening
 
 if TYPE_CHECKING:
     from napari_hmrf.samples.head import HeadPhantom
     from napari_hmrf.samples.phantoms import Phantom
     from napari_hmrf.ui.soft_tissue import SoftTissue
 
+#: Message in napari's status bar while the first sample is being opened.
+OPENING = "Opening the sample and 'Soft tissue' ..."
 LayerData = tuple[Any, dict[str, Any], str]
 PathOrPaths = str | list[str]
 
 
+def _beside_dock(layers: Callable[[], list[LayerData]]) -> Callable[[], list[LayerData]]:
+    """Return a function that returns the layers of a sample, and shows the dock beside them.
+
+    If the user has chosen the sample, the window is painted during long imports, and the dock
+    follows the layers. Otherwise it is there before the function returns.
+    """
+
+    @wraps(layers)
+    def open_sample() -> list[LayerData]:
+        viewer = napari.current_viewer()
+        if viewer is not None and opening.is_interactive():
+            viewer.status = OPENING
+            opening.load()
+            opening.after_painting(partial(dock, viewer))
+        elif viewer is not None:
+            dock(viewer)
+        return layers()
+
+    return open_sample
+
+
+@_beside_dock
 def sample_brain() -> list[LayerData]:
     """Return the layers of the first sample: a brain with its tissues, which nothing moves yet."""
-    _show_dock()
     image, tissue, _ = phantom_layers(sample("expansion"))
     return [image, tissue]
 
 
+@_beside_dock
 def sample_mri() -> list[LayerData]:
     """Return the layer of a real MRI of a head, whose slices can be pulled."""
-    slices = mri_slices()
-    _show_dock()
     settings = {"name": "Head MRI", "scale": MRI_SCALE, "metadata": layer_metadata(IMAGE)}
-    return [(slices, settings, "image")]
+    return [(mri_slices(), settings, "image")]
 
 
+@_beside_dock
 def sample_expansion() -> list[LayerData]:
     """Return the layers of the expansion sample: a brain that expands outward."""
-    return _sample("expansion")
+    return phantom_layers(sample("expansion"))
 
 
+@_beside_dock
 def sample_growth() -> list[LayerData]:
     """Return the layers of the growth sample: a brain with a growing tumour."""
-    _show_dock()
     return phantom_layers(sample("mass-effect").growing())
 
 
+@_beside_dock
 def sample_mass_effect() -> list[LayerData]:
     """Return the layers of the paper's mass-effect sample: a tumour whose rim moves outward."""
-    return _sample("mass-effect")
+    return phantom_layers(sample("mass-effect"))
 
 
+@_beside_dock
 def sample_pair() -> list[LayerData]:
     """Return the layers of the pair sample: a brain before and after its tumour grew."""
-    _show_dock()
     brain, after = image_pair()
     image, tissue, _ = phantom_layers(brain)
     image[1]["name"] = "Before"
@@ -88,20 +114,21 @@ def sample_pair() -> list[LayerData]:
     return [image, tissue, (after.copy(), second, "image")]
 
 
+@_beside_dock
 def sample_bar() -> list[LayerData]:
     """Return the layers of the two-tissue bar sample."""
-    return _sample("bar")
+    return phantom_layers(sample("bar"))
 
 
+@_beside_dock
 def sample_chest() -> list[LayerData]:
     """Return the layers of the chest sample: lungs that slide along the wall during a breath."""
-    _show_dock()
     return phantom_layers(chest_phantom())
 
 
+@_beside_dock
 def sample_head() -> list[LayerData]:
     """Return the layers of the head sample: a volume of a head with a growing tumour."""
-    _show_dock()
     return volume_layers(head_phantom(SAMPLE_SIZE, growth=GROWTH))
 
 
@@ -113,18 +140,6 @@ def volume_layers(head: HeadPhantom) -> list[LayerData]:
     ]
     layers[0][1]["metadata"][METADATA]["extent"] = "volume"
     return layers
-
-
-def _sample(name: str) -> list[LayerData]:
-    _show_dock()
-    return phantom_layers(sample(name))
-
-
-def _show_dock() -> None:
-    """Show the dock beside a sample, if a napari window is open."""
-    viewer = napari.current_viewer()
-    if viewer is not None:
-        dock(viewer)
 
 
 def phantom_layers(phantom: Phantom | HeadPhantom) -> list[LayerData]:
