@@ -1,9 +1,9 @@
-"""Ahead-of-time compilation of all CPU loops: ``python -m napari_hmrf.compiling``.
+"""Preparation of a computer: ``python -m napari_hmrf.compiling`` compiles all CPU loops.
 
 Numba compiles a loop when it is called, and caches the result on disk. The program therefore solves
-a small problem with each solver. Loops for which a solve is waiting are compiled next.
-Rarely used loops (`sets.ON_REQUEST`) are compiled only if a solve is waiting for them. The program
-prints its progress.
+a small problem with each solver. Loops for which a solve is waiting, or which a window will need
+soon, are compiled first; all others, and with ``--idle`` these too, at the lowest priority. The
+program prints its progress. It can be stopped at any time; the next start continues.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from napari_hmrf.compute.compile_cache import compiler, disk_cache, loader, loops, sets
-from napari_hmrf.compute.compile_cache.compiler import Stage
+from napari_hmrf.compute.compile_cache.stage import Stage
 from napari_hmrf.compute.compile_cache.watch import watched
 from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.field.deformation import smallest_determinant
@@ -42,6 +42,9 @@ class _Preempted(Exception):
     """
 
 
+Run = Callable[[], Any]
+
+
 class Job(NamedTuple):
     """Computation that triggers the compilation of a set of loops.
 
@@ -54,42 +57,43 @@ class Job(NamedTuple):
     """
 
     name: str
-    run: Callable[[], Any]
+    run: Run
 
 
 def jobs() -> list[Job]:
-    """Return the jobs that compile all loops, in the order in which loops are usually needed."""
+    """Return the jobs that compile all loops, in the order of `sets.COSTS`."""
     square, oblong = (1.0, 1.0), (2.0, 0.5)
     mapped = np.full((_SIZE, _SIZE), 0.3)
     blanket = SeilerPrior(conditional="blanket")
-
-    def solving(name: str, prior: Any, optimizer: Any, spacing: tuple[float, float]) -> Job:
-        return Job(name, lambda: _solve(prior, optimizer, spacing))
-
     schedule = ICM(iterations=2)
     image, volume = (_SIZE, _SIZE), (_SLICES, _SLICES, _SLICES)
-    return [
-        solving("elastic", ElasticPrior(0.3), Multigrid(), square),
-        Job(sets.PICTURES, _pictures),
-        solving("schedule", SeilerPrior(), schedule, square),
-        solving("converged", SeilerPrior(), Multigrid(), square),
-        solving("slipping", ElasticPrior(mapped, penalty=1.0), Multigrid(), square),
-        Job("rigid", lambda: _solve(ElasticPrior(0.3), Multigrid(), square, bone=True)),
-        solving("large-motion", NeoHookeanPrior(0.3), Multigrid(), square),
-        solving("schedule-oblong", SeilerPrior(), schedule, oblong),
-        solving("converged-oblong", SeilerPrior(), Multigrid(), oblong),
-        solving("blanket-schedule", blanket, schedule, square),
-        solving("blanket-converged", blanket, Multigrid(), square),
-        solving("exact-steps", SeilerPrior(), ICM(iterations=2, steps=None), square),
-        Job("volume", lambda: _volume(ElasticPrior(0.3), Multigrid())),
-        Job("volume-schedule", lambda: _volume(SeilerPrior(), schedule)),
-        Job("volume-converged", lambda: _volume(SeilerPrior(), Multigrid())),
-        Job(sets.DATA, lambda: _data(image, ElasticPrior(0.3))),
-        Job(sets.VOLUME_DATA, lambda: _data(volume, ElasticPrior(0.3))),
-        Job(sets.LARGE_VOLUMES, lambda: _volume(NeoHookeanPrior(0.3), Multigrid())),
-        Job(sets.LARGE_DATA, lambda: _data(image, NeoHookeanPrior(0.3))),
-        Job(sets.LARGE_VOLUME_DATA, lambda: _data(volume, NeoHookeanPrior(0.3))),
-    ]
+
+    def solving(prior: Any, optimizer: Any, spacing: tuple[float, float] = square) -> Run:
+        return lambda: _solve(prior, optimizer, spacing)
+
+    runs: dict[str, Run] = {
+        "elastic": solving(ElasticPrior(0.3), Multigrid()),
+        sets.PICTURES: _pictures,
+        "slipping": solving(ElasticPrior(mapped, penalty=1.0), Multigrid()),
+        "rigid": lambda: _solve(ElasticPrior(0.3), Multigrid(), square, bone=True),
+        "large-motion": solving(NeoHookeanPrior(0.3), Multigrid()),
+        sets.DATA: lambda: _data(image, ElasticPrior(0.3)),
+        sets.VOLUMES: lambda: _volume(ElasticPrior(0.3), Multigrid()),
+        sets.LARGE_VOLUMES: lambda: _volume(NeoHookeanPrior(0.3), Multigrid()),
+        sets.VOLUME_DATA: lambda: _data(volume, ElasticPrior(0.3)),
+        sets.LARGE_DATA: lambda: _data(image, NeoHookeanPrior(0.3)),
+        sets.LARGE_VOLUME_DATA: lambda: _data(volume, NeoHookeanPrior(0.3)),
+        "schedule": solving(SeilerPrior(), schedule),
+        "converged": solving(SeilerPrior(), Multigrid()),
+        "schedule-oblong": solving(SeilerPrior(), schedule, oblong),
+        "converged-oblong": solving(SeilerPrior(), Multigrid(), oblong),
+        "blanket-schedule": solving(blanket, schedule),
+        "blanket-converged": solving(blanket, Multigrid()),
+        "exact-steps": solving(SeilerPrior(), ICM(iterations=2, steps=None)),
+        "volume-schedule": lambda: _volume(SeilerPrior(), schedule),
+        "volume-converged": lambda: _volume(SeilerPrior(), Multigrid()),
+    }
+    return [Job(name, runs[name]) for name in sets.COSTS]
 
 
 def _solve(prior: Any, optimizer: Any, spacing: tuple[float, float], bone: bool = False) -> None:
@@ -151,24 +155,23 @@ def run(job: Job, report: Callable[[Stage], object]) -> None:
         job.run()
 
 
-def _due_jobs(todo: list[Job]) -> list[Job]:
-    """Return the jobs to run: all except rarely used loops for which no solve is waiting."""
-    requested = compiler.requested_job()
-    return [job for job in todo if job.name not in sets.ON_REQUEST or job.name == requested]
+def _next(todo: list[Job]) -> Job:
+    """Return the requested job, or otherwise the first job."""
+    by_name = {job.name: job for job in todo}
+    requested = (by_name[name] for name in compiler.requested_jobs() if name in by_name)
+    return next(requested, todo[0])
 
 
 def _run_next(todo: list[Job]) -> None:
-    """Run the requested job, or otherwise the first job, and remove it from the list."""
+    """Run the next job, and remove it from the list."""
     while True:
-        requested = compiler.requested_job()
-        job = next((each for each in todo if each.name == requested), todo[0])
-        if job.name != requested:
+        job = _next(todo)
+        if job.name not in compiler.requested_jobs():
             compiler.lower_priority()
 
         def tell(stage: Stage, job: Job = job) -> None:
             compiler.publish_stage(stage)
-            newer = compiler.requested_job()
-            if newer != job.name and any(each.name == newer for each in todo):
+            if _next(todo) is not job:
                 raise _Preempted
 
         with suppress(_Preempted):
@@ -184,19 +187,18 @@ def main() -> int:
     if not compiler.begin():
         return 1
     os.environ[loops.HERE] = "here"  # prevents this process from waiting for itself
+    if compiler.IDLE in sys.argv[1:]:
+        compiler.lower_priority()
     compiled = False
     try:
-        todo = [
-            job for job in jobs() if job.name in sets.ON_REQUEST or not disk_cache.mark().exists()
-        ]
-        number = 0
-        while rest := _due_jobs(todo):
+        todo = [job for job in jobs() if not disk_cache.compiled(job.name)]
+        count = len(todo)
+        while todo:
             _run_next(todo)
             if not _is_cached():
                 break
-            number += 1
-            print(f"{number} of {number + len(rest) - 1}", flush=True)
-        compiled = all(job.name in sets.ON_REQUEST for job in todo)
+            print(f"{count - len(todo)} of {count}", flush=True)
+        compiled = not todo and _is_cached()
     finally:
         compiler.end(compiled)
     return 0 if compiled else 1

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any
 from napari_hmrf import commands
 from napari_hmrf.augmentation.ground_truth import Truth, write_truth
 from napari_hmrf.compute.compile_cache.loops import are_compiled
-from napari_hmrf.compute.compile_cache.sets import EVERYTHING, VOLUMES
+from napari_hmrf.compute.compile_cache.sets import EVERYTHING
+from napari_hmrf.compute.compile_cache.stage import PREPARING
 from napari_hmrf.errors import HmrfError, in_words
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.field.warp import has_volume_loops
@@ -136,7 +137,7 @@ def _apply(options: commands.Apply) -> int:
             refuse_overwriting(moved, overwrite=options.force)
     field = read_field_file(options.field)
     if len(field.shape) == 3 and not has_volume_loops():
-        _report("compiling the loops that warp volumes, once per machine ...")
+        _report(f"{PREPARING} ...")
     options.out.mkdir(parents=True, exist_ok=True)
     failed = 0
     for file, target in zip(options.files, moved, strict=True):
@@ -521,20 +522,18 @@ def _compile_loops(
     optimizer: Optimizer | None,
 ) -> None:
     """Compile the loops, and solve again to show the time that the compiled loops take."""
-    jobs = [job for job in (EVERYTHING, VOLUMES) if not are_compiled(job)]
-    if options.backend != "auto" or not jobs:
+    if options.backend != "auto" or are_compiled(EVERYTHING):
         return
     _report(
-        "compiling the loops for this processor, once per machine (all results have been written, "
-        "so it is safe to stop with Ctrl-C)"
+        f"{PREPARING} (all results have been written, and what has been prepared is kept, so it "
+        "is safe to stop with Ctrl-C)"
     )
     progress = _ProgressLine()
-    for job in jobs:
-        provide_loops(job, progress.show)
+    provide_loops(EVERYTHING, progress.show)
     progress.end()
     again = solve(demonstration.phantom.problem, prior, optimizer=optimizer)
     seconds = again.provenance.seconds
-    print(f"compiled; the same solve now takes {seconds:.2g} s ({again.provenance.backend})")
+    print(f"prepared; the same solve now takes {seconds:.2g} s ({again.provenance.backend})")
 
 
 def _suggest_next_steps() -> None:
@@ -605,18 +604,18 @@ class _ProgressLine:
     Parameters
     ----------
     stages : sequence of str
-        If stderr is not a terminal, only messages that begin with one of these words are printed.
+        If stderr is not a terminal, only messages that begin with one of these texts are printed.
     """
 
-    def __init__(self, stages: Sequence[str] = ("compiling", "preparing")) -> None:
+    def __init__(self, stages: Sequence[str] = (PREPARING, "preparing")) -> None:
         self._live, self._stages = sys.stderr.isatty(), stages
         self._shown = 0
         self._stage, self._last_time = "", 0.0
 
     def show(self, monitor: Monitor) -> None:
         line = f"{monitor.fraction:4.0%}  {monitor.message}"
-        stage = monitor.message.partition(" ")[0]
-        if self._live or stage in self._stages:
+        stage = next((each for each in self._stages if monitor.message.startswith(each)), "")
+        if self._live or stage:
             self.write(line, stage)
 
     def write(self, line: str, stage: str = "") -> None:
@@ -640,9 +639,9 @@ class _ProgressLine:
 def _shown_progress() -> Iterator[Callable[[Monitor], None]]:
     """Yield a callback that shows the progress of a solve.
 
-    If stderr is not a terminal, only the stages "starting" and "compiling" are reported.
+    If stderr is not a terminal, only the preparation of the computer is reported.
     """
-    line = _ProgressLine(stages=("starting", "compiling"))
+    line = _ProgressLine(stages=(PREPARING,))
     try:
         yield line.show
     finally:

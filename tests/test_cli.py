@@ -11,7 +11,8 @@ import pytest
 
 import napari_hmrf
 from napari_hmrf import SeilerPrior, Solution, cli, run, solve
-from napari_hmrf.compute.compile_cache.sets import EVERYTHING, VOLUMES
+from napari_hmrf.compute.compile_cache.sets import EVERYTHING
+from napari_hmrf.compute.compile_cache.stage import PREPARING
 from napari_hmrf.data import phantom
 from napari_hmrf.field.frame import PATIENT_AXES
 from napari_hmrf.io import figures
@@ -189,7 +190,7 @@ def test_pictures_of_quantities_show_the_image_beneath_and_name_its_state(kind):
     assert len(draw(solution).axes[0].images) == 1
 
 
-@pytest.mark.parametrize(("backend", "jobs"), [("auto", [EVERYTHING, VOLUMES]), ("cpu", [])])
+@pytest.mark.parametrize(("backend", "jobs"), [("auto", [EVERYTHING]), ("cpu", [])])
 def test_the_demo_writes_its_results_before_it_compiles_loops(
     backend, jobs, monkeypatch, tmp_path, capsys
 ):
@@ -211,11 +212,11 @@ def test_the_demo_writes_its_results_before_it_compiles_loops(
 
 def test_progress_prints_one_line_per_stage_without_a_terminal(capsys):
     line = run._ProgressLine()
-    for message in ("compiling loops (1 of 9)", "compiling loops (2 of 9)", "preparing", "level 2"):
+    for message in (f"{PREPARING}: 1", f"{PREPARING}: 2", "preparing", "level 2"):
         line.show(Monitor(message, 0.1))
     line.end()
     said = capsys.readouterr().err.splitlines()
-    assert said == ["10%  compiling loops (1 of 9)", "10%  preparing"]
+    assert said == [f"10%  {PREPARING}: 1", "10%  preparing"]
 
 
 def test_progress_and_errors_go_to_stderr_and_the_table_to_stdout(tmp_path, capsys):

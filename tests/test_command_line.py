@@ -28,6 +28,7 @@ from napari_hmrf import (
 )
 from napari_hmrf.cases import Case
 from napari_hmrf.cli import main, parser_of_commands, read_command
+from napari_hmrf.compute.compile_cache.stage import PREPARING
 from napari_hmrf.fields import write_field
 from napari_hmrf.io.case import read_case
 from napari_hmrf.io.case_tables import read_cases
@@ -95,21 +96,21 @@ def run(line, capsys):
 
 
 @pytest.mark.parametrize("command", [f"{SOLVE} -o out", "replay a.study"])
-def test_the_shell_reports_the_progress_of_compiling(files, capsys, monkeypatch, command):
+def test_the_shell_reports_the_progress_of_the_preparation(files, capsys, monkeypatch, command):
     grid = Grid(SHAPE, (1, 1))
     pull = Drawing((Arrow(at=(10, 12), by=(0, 3), radius=3),))
     write_study("a.study", Study(grid, Tissue(), Motion(hold_edge=True, drawing=pull)))
 
     def slowly(*problem, progress, **more):
-        for message in ("compiling loops (3 of 22), about 9 s left", "level 2"):
+        for message in (f"{PREPARING}: about 10 s left", "level 2"):
             progress(Monitor(message, 0.1))
         return solve(*problem, **more)
 
     monkeypatch.setattr("napari_hmrf.study.ground.solve", slowly)
     code, out, err = run(command, capsys)
     assert code == 0
-    assert "compiling" not in out
-    assert err.splitlines() == ["10%  compiling loops (3 of 22), about 9 s left"]
+    assert PREPARING not in out
+    assert err.splitlines() == [f"10%  {PREPARING}: about 10 s left"]
 
 
 def test_an_area_is_printed_without_an_exponent(files, capsys):

@@ -18,6 +18,7 @@ from concurrent.futures import Future, wait
 from contextlib import contextmanager
 from typing import Any, TypeVar
 
+from napari_hmrf.compute.compile_cache.stage import PREPARING
 from napari_hmrf.compute.workspace import in_child_of_fork
 from napari_hmrf.errors import BackendError, Cancelled
 
@@ -144,8 +145,8 @@ class ComputeThread:
             return ""
         doing = self._doing  # read only once, because the compute thread may reset it
         doing = doing() if callable(doing) else doing
-        # Only compilation is so slow that a waiting caller needs its progress.
-        stage = f" ({self.stage})" if self.stage.startswith("compiling") else ""
+        # Only the preparation of the computer is so slow that a waiting caller needs its progress.
+        stage = f" ({self.stage})" if self.stage.startswith(PREPARING) else ""
         return f"waiting for {doing}{stage}" if doing else "starting"
 
     def is_current(self) -> bool:

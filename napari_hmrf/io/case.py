@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.compute.compile_cache.stage import PREPARING
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.field.brightness import edge_confidence
 from napari_hmrf.field.frame import Frame
@@ -352,7 +353,7 @@ def solve_case(
     image = study.pictures.image
     if image is not None:
         if progress is not None and len(study.grid.shape) == 3 and not has_volume_loops():
-            progress(Monitor("compiling the loops that move volumes, once per machine", 0.9))
+            progress(Monitor(PREPARING, 0.9))
         make_room(study.grid.shape, WARP)
         suffix = result_suffix(case.image)
         if is_study_file(case.image) and study.grid.unit == "pixel":

@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
+from napari_hmrf.compute.compile_cache.stage import PREPARING
 from napari_hmrf.errors import Cancelled
 from napari_hmrf.field.deformation import smallest_determinant
 from napari_hmrf.field.neighbours import in_elements
@@ -268,9 +269,9 @@ class _Report:
 
     def within(self, monitor: Monitor) -> None:
         """Report the progress of the solve of the current step."""
-        # The first solve may compile loops, which takes long.
-        compiling = monitor.message.startswith(("starting", "compiling"))
-        self._send(monitor.fraction, monitor.message if compiling else "")
+        # The first solve on a computer may wait for a long time.
+        is_preparing = monitor.message.startswith(PREPARING)
+        self._send(monitor.fraction, monitor.message if is_preparing else "")
 
     def end(self) -> None:
         """Report the end of a step."""

@@ -14,7 +14,6 @@ from napari_hmrf.io.study_file import write_study
 from napari_hmrf.real_arrays import grid_in_words
 from napari_hmrf.results.measurement import Measurement, measure
 from napari_hmrf.samples.head import GROWTH, TUMOUR, HeadPhantom, head_phantom
-from napari_hmrf.solver.backends.job import SolveJob
 from napari_hmrf.solver.model_names import in_words
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.preparation import provide_loops
@@ -128,9 +127,6 @@ def demonstrate_volume(
     if backend == "auto":
         # Compile all loops now, so that napari does not have to wait for the compiler later.
         provide_loops(EVERYTHING, progress)
-        # Loops for volumes are compiled only on request, so request those of this study.
-        job = SolveJob(study.grid.shape, study.grid.spacing, study.prior, study.optimizer)
-        provide_loops(job.loops, progress)
     solution = solve_study(study, backend=backend, progress=progress)
     measured = measure(solution, head.tissue_labels)
     return VolumeDemonstration(

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from napari_hmrf.compute.compile_cache import compiler, loops, sets
-from napari_hmrf.compute.compile_cache.compiler import Stage
+from napari_hmrf.compute.compile_cache import compiler, loops
+from napari_hmrf.compute.compile_cache.stage import Stage
 from napari_hmrf.compute.compile_cache.watch import watched
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.base import Backend
@@ -34,13 +34,7 @@ def provide_loops(job: str, report: Callable[[Monitor], None]) -> None:
     report : callable
         Called several times a second; raises an exception to stop the wait.
     """
-
-    def report_stage(stage: Stage) -> None:
-        if stage.of and job == sets.EVERYTHING:
-            stage = stage._replace(of=sets.USUAL_COUNT)
-        report(Monitor(stage.words, stage.fraction))
-
-    compiler.provide(job, report_stage)
+    compiler.provide(job, lambda progress: report(Monitor(progress.words, progress.fraction)))
 
 
 def prepare(
@@ -105,4 +99,10 @@ def loop_watch(job: str, report: Callable[[Monitor], None]) -> AbstractContextMa
     """
     if not loops.in_use():
         return nullcontext()
-    return watched(job, lambda stage: report(Monitor(stage.words, stage.fraction)))
+    jobs = [job] if job else []
+
+    def report_stage(stage: Stage) -> None:
+        progress = stage.progress(jobs, jobs)
+        report(Monitor(progress.words, progress.fraction))
+
+    return watched(job, report_stage)

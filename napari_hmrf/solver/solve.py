@@ -19,7 +19,6 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.arguments import require_flag, shown
-from napari_hmrf.compute.compile_cache import sets
 from napari_hmrf.compute.compile_cache.loops import are_compiled
 from napari_hmrf.compute.thread import STOPPED, compute_thread
 from napari_hmrf.errors import (
@@ -484,7 +483,7 @@ def open_device(
     try:
         _announce(choice)
         prepare(choice.backend, job, optimizer, report)
-        with loop_watch(sets.HARDER, report):
+        with loop_watch("", report):  # loops for tissue on which cycles converge slowly
             yield choice, report
     finally:
         choice.backend.close()
@@ -552,7 +551,7 @@ def _announce(choice: Choice) -> None:
 def _announce_compilation() -> None:
     """Log, once per process, that a solve waits for the compiler, which takes minutes."""
     _log.warning(
-        "compiling loops for this processor, once per machine, which takes two to three minutes; "
+        "the solver is compiled for this computer, once, which takes up to a few minutes; "
         "solve(..., progress=print) shows the progress"
     )
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+from napari_hmrf.compute.compile_cache.stage import PREPARING
 from napari_hmrf.solver.optimizers.base import Monitor
 
-#: Prefixes of the messages about the compiler, whose fractions are not parts of a solve.
-COMPILING = ("compiling", "starting to compile")
 # Fraction of the remaining progress that a preview takes.
 _PREVIEW_SHARE = 0.5
 
@@ -16,7 +15,7 @@ _PREVIEW_SHARE = 0.5
 class StagedProgress:
     """Progress report whose completed fraction never decreases, also from one stage to the next.
 
-    Reports of the compiler are forwarded unchanged.
+    Reports about the preparation of the computer are forwarded unchanged.
 
     Parameters
     ----------
@@ -36,7 +35,7 @@ class StagedProgress:
 
     def __call__(self, monitor: Monitor) -> None:
         """Report the progress of the current stage."""
-        if not monitor.message.startswith(COMPILING):
+        if not monitor.message.startswith(PREPARING):
             done = self._first + (1 - self._first) * self._share * monitor.fraction
             self._fraction = max(self._fraction, done)
             monitor = replace(monitor, fraction=self._fraction)

@@ -9,6 +9,7 @@ from qtpy.QtCore import Qt
 from qtpy.QtWidgets import (
     QHBoxLayout,
     QMenu,
+    QProgressBar,
     QPushButton,
     QSizePolicy,
     QVBoxLayout,
@@ -16,6 +17,7 @@ from qtpy.QtWidgets import (
     QWidget,
 )
 
+from napari_hmrf.compute.compile_cache.stage import Progress
 from napari_hmrf.layers.viewer_undo import ViewerUndo
 from napari_hmrf.ui.forms import ElidedButton, FixedText, row
 from napari_hmrf.ui.messages import DEFORM
@@ -39,10 +41,16 @@ _CLEAR = {
     "Reset the study ...": "Remove all marks of this study and restore the default settings, after "
     "a question; layers and tables are kept. Undo restores everything.",
 }
+_PREPARATION = (
+    "The solver is translated for the processor of this computer. You can work meanwhile: only\n"
+    "what needs a part that is not ready yet waits for it. The next start needs no preparation."
+)
 
 
 class Footer(QWidget):
     """Result, warning, status text and buttons; the height is fixed, so that nothing moves.
+
+    Only the preparation of a new computer, at the bottom, disappears once it is complete.
 
     Parameters
     ----------
@@ -69,6 +77,8 @@ class Footer(QWidget):
         Warning about the visible tissue; hidden if there is no warning.
     other : QPushButton
         Button that offers another model; hidden if no model is offered.
+    preparation : QProgressBar
+        Progress of the preparation of the computer; hidden if nothing is prepared.
     """
 
     def __init__(self, result: Container, files: Container, tools: str = "") -> None:
@@ -98,6 +108,9 @@ class Footer(QWidget):
         self.help.native.setAccessibleName("Help")
         self.chip = ElidedButton()
         self.other = QPushButton()
+        self.preparation = QProgressBar()
+        self.preparation.setToolTip(_PREPARATION)
+        self.preparation.hide()
         self.warning = ""
         self._status = FixedText(_LINES)
         layout = QVBoxLayout(self)
@@ -114,7 +127,7 @@ class Footer(QWidget):
         for each in self._rows:
             each.margins = (2, 0, 2, 0)
         below = (self._status, *(each.native for each in self._rows[:-1]))
-        for part in (result.native, self._warnings(), *below):
+        for part in (result.native, self._warnings(), *below, self.preparation):
             layout.addWidget(part)
         self.help.changed.connect(self._show_help)
         self.show_update(False)
@@ -169,6 +182,13 @@ class Footer(QWidget):
         self.other.setVisible(bool(words))
         self.other.setText(words)
         self.other.setToolTip(about)
+
+    def show_preparation(self, progress: Progress | None) -> None:
+        """Show the progress of the preparation of the computer; None hides it."""
+        self.preparation.setVisible(progress is not None)
+        if progress is not None:
+            self.preparation.setValue(round(self.preparation.maximum() * progress.fraction))
+            self.preparation.setFormat(f"{progress.words[0].upper()}{progress.words[1:]}")
 
     def show_work(self, is_working: bool) -> None:
         """Show "Cancel" while a solve is in progress; otherwise, enable "Deform"."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from napari_hmrf.compute.compile_cache.stage import PREPARING
 from napari_hmrf.errors import ConvergenceError, HmrfError, in_words
 from napari_hmrf.field.deformation import magnitude
 from napari_hmrf.field.units import as_seen, unit_symbol
@@ -18,7 +19,6 @@ from napari_hmrf.solver.drift import drift_clauses
 from napari_hmrf.solver.model_names import ModelName, Plane
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.optimizers.base import Reach
-from napari_hmrf.solver.staged_progress import COMPILING
 from napari_hmrf.study.landmark_data import uncertain_landmarks
 from napari_hmrf.study.session import ModelChoice
 from napari_hmrf.study.support import can_unfold
@@ -122,7 +122,7 @@ ABOUT_OFFERS = {
 }
 PLANES: dict[Plane, str] = {"stress": "free to bulge", "strain": "held at its faces"}
 #: Prefixes of progress messages that are shown to the user unchanged.
-_SHOWN = ("waiting for", *COMPILING, "drawing the", "sample")
+_SHOWN = ("waiting for", "drawing the", "sample")
 _WARNINGS: dict[Mark, str] = {
     "folds": "the tissue folds over itself, which real tissue cannot do. Move the tissue less; far "
     "from held tissue, a wider patch or boundary also helps.",
@@ -250,6 +250,8 @@ def in_short(error: Exception) -> str:
 
 def progress(monitor: Monitor, work: str = "Deforming") -> str:
     """Describe the progress in plain words; `monitor` has the technical description."""
+    if monitor.message.startswith(PREPARING):
+        return f"{_label(monitor.message)}, then {work.lower()}."
     if monitor.message.startswith(_SHOWN):
         return f"{work}: {monitor.message}."
     percent = min(round(100 * monitor.fraction), 99)  # the solve has not ended yet

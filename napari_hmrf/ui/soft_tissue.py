@@ -37,6 +37,7 @@ from napari_hmrf.ui.motion.carry_over import CarryOver
 from napari_hmrf.ui.motion.pointer import Pointer
 from napari_hmrf.ui.new_layers import add_missing
 from napari_hmrf.ui.patient_sides import PatientSides
+from napari_hmrf.ui.preparation import Preparation
 from napari_hmrf.ui.registering import Registering
 from napari_hmrf.ui.remembered_settings import remember
 from napari_hmrf.ui.result.result_view import ResultView
@@ -122,6 +123,7 @@ class SoftTissue(DockValues):
         )
         self._connections = EventConnections((undo.session.selected, self._view.select_image))
         self._guide = Guide(viewer, controller, undo)
+        self._preparation = Preparation(self.native, controller)
         self._carry_over = CarryOver(
             form.carry_over,
             undo.session,
@@ -483,6 +485,7 @@ class SoftTissue(DockValues):
             self._registering,
             self._fitting,
             self._sides,
+            self._preparation,
             self._view,
             self._autosave,
             self._unsaved,

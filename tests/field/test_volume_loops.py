@@ -8,6 +8,7 @@ import pytest
 
 from napari_hmrf import ElasticPrior, Multigrid, Problem, ProblemError, solve
 from napari_hmrf.compute.compile_cache import loops
+from napari_hmrf.compute.compile_cache.stage import PREPARING
 from napari_hmrf.field import tetrahedron_raster
 from napari_hmrf.field.deformation import (
     determinant_or_fold,
@@ -188,6 +189,6 @@ def test_compilation_during_a_solve_is_reported():
     solve(problem, ElasticPrior(), optimizer=Multigrid(), backend="cpu")
     how = {"backend": "cpu", "progress": lambda monitor: told.append(monitor.message)}
     solve(problem, ElasticPrior(), optimizer=CompilingMultigrid(), **how)
-    said = [number for number, words in enumerate(told) if words.startswith("compiling loops")]
+    said = [number for number, words in enumerate(told) if words.startswith(PREPARING)]
     assert said
     assert said[-1] < len(told) - 1

@@ -8,6 +8,7 @@ import pytest
 import scipy
 
 from napari_hmrf import Monitor, cli, read_study, solve, warp
+from napari_hmrf.compute.compile_cache.stage import PREPARING
 from napari_hmrf.fields import read_field
 from napari_hmrf.io.images import ImageFile, read_image, write_image
 from napari_hmrf.landmarks import write_points
@@ -214,14 +215,14 @@ def test_pictures_are_registered_in_pixels():
     assert np.linalg.norm(solution.displacement - bend(), axis=-1)[INNER].mean() < 0.2
 
 
-def test_the_shell_reports_that_loops_are_compiled(pair, capsys, monkeypatch):
+def test_the_shell_reports_the_preparation_of_the_computer(pair, capsys, monkeypatch):
     def slowly(*problem, progress, **more):
-        progress(Monitor("compiling loops (3 of 22), about 9 s left", 0.1))
+        progress(Monitor(f"{PREPARING}: about 10 s left", 0.1))
         return solve(*problem, progress=progress, **more)
 
     monkeypatch.setattr("napari_hmrf.registration.matching.solve", slowly)
     assert register("before.mha", "after.mha") == 0
-    assert capsys.readouterr().err.endswith("compiling loops (3 of 22), about 9 s left\n")
+    assert capsys.readouterr().err.endswith(f"{PREPARING}: about 10 s left\n")
 
 
 def test_a_larger_smoothness_leads_to_smaller_strains(pair):

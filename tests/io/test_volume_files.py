@@ -22,6 +22,7 @@ from napari_hmrf import (
 )
 from napari_hmrf.cli import main
 from napari_hmrf.compute.compile_cache import loader
+from napari_hmrf.compute.compile_cache.stage import PREPARING
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.field.inverse_field import inverse_displacement
 from napari_hmrf.field.moved_points import moved_points
@@ -213,7 +214,7 @@ def test_images_labels_and_landmarks_move_with_the_result_of_a_volume(solution, 
 
 
 @pytest.mark.parametrize("ready", [True, False])
-def test_the_shell_reports_that_loops_for_volumes_are_compiled(
+def test_the_shell_reports_that_it_prepares_for_volumes(
     solution, ready, tmp_path, capsys, monkeypatch
 ):
     pytest.importorskip("SimpleITK")
@@ -223,9 +224,7 @@ def test_the_shell_reports_that_loops_for_volumes_are_compiled(
     command = ["apply", tmp_path / "result.npz", tmp_path / "scan.nii.gz", "-o", tmp_path / "out"]
     assert main([str(each) for each in command]) == 0
     said = capsys.readouterr().err
-    assert said == (
-        "" if ready else "compiling the loops that warp volumes, once per machine ...\n"
-    )
+    assert said == ("" if ready else f"{PREPARING} ...\n")
 
 
 def test_an_image_with_another_order_of_axes_is_reordered_to_the_result(solution, tmp_path):

@@ -1,5 +1,6 @@
 """Progress of a solve in stages."""
 
+from napari_hmrf.compute.compile_cache.stage import PREPARING
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.staged_progress import StagedProgress
 
@@ -19,6 +20,6 @@ def test_progress_never_decreases_within_a_stage_or_after_a_preview():
 def test_reports_of_the_compiler_are_no_progress_of_the_solve():
     said: list[Monitor] = []
     progress = StagedProgress(said.append)
-    for message, fraction in ("compiling loops (9 of 10)", 0.9), ("cycle 1", 0.1):
+    for message, fraction in (f"{PREPARING}: about 5 s left", 0.9), ("cycle 1", 0.1):
         progress(Monitor(message, fraction))
     assert [each.fraction for each in said] == [0.9, 0.1]

@@ -8,6 +8,7 @@ import pytest
 from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QApplication
 
+from napari_hmrf.compute.compile_cache.stage import PREPARING
 from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.solver import preparation
 from napari_hmrf.solver.live_solver import TOLERANCE
@@ -303,8 +304,8 @@ def test_a_waiting_user_is_told_the_reason_and_a_way_to_stop(
     qtbot.waitUntil(lambda: "waiting for a computation" in widget.status, timeout=LONG_MS)
     assert "only that program can stop" in widget.status
     assert "cycle" not in widget.status
-    compute_thread.stage = "compiling loops (3 of 10)"
-    qtbot.waitUntil(lambda: "(compiling loops (3 of 10))" in widget.status, timeout=LONG_MS)
+    compute_thread.stage = f"{PREPARING}: about 5 s left"
+    qtbot.waitUntil(lambda: f"({PREPARING}: about 5 s left)" in widget.status, timeout=LONG_MS)
     solver_at_work.set()
     settle(widget)
     assert widget.status.startswith("Drag tissue")

@@ -24,6 +24,7 @@ from napari_hmrf import (
     ProblemError,
     SeilerPrior,
 )
+from napari_hmrf.compute.compile_cache.stage import PREPARING
 from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.contributions import phantom_layers
 from napari_hmrf.layers.metadata import METADATA, metadata_of
@@ -709,17 +710,19 @@ def test_an_error_during_the_solve_is_reported_and_changes_no_layer(
     assert state(viewer) == before
 
 
-def test_progress_is_described_with_a_percentage_or_the_state_of_compiling():
+def test_progress_is_described_with_a_percentage_or_the_state_of_the_preparation():
     from napari_hmrf.solver.optimizers import Monitor
     from napari_hmrf.ui.messages import progress
 
     preparing = Monitor("preparing (the first run compiles its kernels, once)", 0.0)
     assert progress(preparing) == "Deforming ..."
-    compiling = Monitor("compiling loops (3 of 10), about 18 s left", 0.3)
+    preparing = Monitor(f"{PREPARING}: about 20 s left", 0.3)
     edit = "Updating"
     assert progress(Monitor("cycle 8, 0.0032 px to go", 0.6), edit) == f"{edit} ... 60 %"
     assert progress(Monitor("cycle 9, 0.0009 px to go", 1.0), edit) == f"{edit} ... 99 %"
-    assert progress(compiling) == "Deforming: compiling loops (3 of 10), about 18 s left."
+    assert progress(preparing) == (
+        "Preparing for this computer, once: about 20 s left, then deforming."
+    )
 
 
 def test_progress_is_shown_in_per_cent_with_details_in_the_tool_tip(widget, small_sample, wait_for):

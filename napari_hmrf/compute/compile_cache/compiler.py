@@ -1,14 +1,14 @@
-"""Process that compiles the loops for all other processes: start, progress and waiting.
+"""Process that prepares a computer, by compiling the loops for all other processes.
 
 At most one compiling process runs per machine. A status file contains its process ID and progress.
-A request file contains the name of the job that it compiles next.
+A request file contains the names of the jobs that it compiles next. Whatever has been compiled
+remains on disk if the process is stopped, and the next one continues there.
 """
 
 from __future__ import annotations
 
 import atexit
 import json
-import math
 import os
 import subprocess
 import sys
@@ -16,15 +16,18 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import psutil
 
 from napari_hmrf.compute.compile_cache import disk_cache, loops, sets
+from napari_hmrf.compute.compile_cache.stage import Progress, Stage
 from napari_hmrf.compute.workspace import in_child_of_fork
 
 #: Module that the compiling process executes.
 COMPILER = "napari_hmrf.compiling"
+#: Argument with which all of its jobs have the lowest priority.
+IDLE = "--idle"
 #: Interval between two readings of the progress, in seconds. Cancellation takes at most this long.
 _POLL = 0.1
 
@@ -37,71 +40,55 @@ class _State:
     compiler: subprocess.Popen[bytes] | None = None
 
 
-class Stage(NamedTuple):
-    """Progress of the compiling process.
-
-    Attributes
-    ----------
-    job : str
-        Current job, as named by `napari_hmrf.compiling`.
-    done, of : int
-        Number of loops compiled so far, and the total expected at the end of the job.
-    pace : float
-        Seconds per loop; 0 if unknown.
-    """
-
-    job: str
-    done: int
-    of: int
-    pace: float
-
-    @property
-    def fraction(self) -> float:
-        """Completed fraction of the job, from 0 to 1."""
-        return min(self.done / max(self.of, 1), 1.0)
-
-    @property
-    def words(self) -> str:
-        """Progress and remaining time as text."""
-        if self.of == 0:
-            return "starting to compile loops"
-        text = f"compiling loops ({self.done} of {max(self.of, self.done)})"
-        left = self.pace * max(self.of - self.done, 1)
-        return f"{text}, about {math.ceil(left)} s left" if left else text
-
-
-Report = Callable[[Stage], None]
-_NO_STAGE = Stage("", 0, 0, 0.0)
+Report = Callable[[Progress], None]
 
 
 # Processes that use loops
 
 
-def compile_meanwhile(job: str = "") -> None:
-    """Start a compiling process unless one is running or the loops are already compiled.
+def compile_meanwhile() -> None:
+    """Start a compiling process unless one is running or all loops are compiled."""
+    if _State.compiler is not None or loops.are_compiled(sets.EVERYTHING):
+        return
+    if not is_compiling():
+        with suppress(OSError):
+            _request_file().unlink(missing_ok=True)  # of a process that was stopped
+        _start(IDLE)
+
+
+def request(*jobs: str, priority: str = "") -> None:
+    """Request that the compiling process compile the loops of some jobs before all others.
 
     Parameters
     ----------
-    job : str
-        Job that compiles the required loops; by default, the job of all usual loops.
+    *jobs : str
+        Names of jobs; `sets.EVERYTHING` keeps the order of the jobs.
+    priority : str
+        `IDLE` if a process that is started for these jobs must not delay anything else. Jobs that
+        are not requested never do.
     """
-    ours = _State.compiler
-    started = ours is not None and (job not in sets.ON_REQUEST or ours.poll() is None)
-    if started or loops.are_compiled(job) or _another_process_compiles():
+    wanted = [job for job in jobs if job and not loops.are_compiled(job)]
+    before = requested_jobs() if is_compiling() else []
+    earlier = [job for job in before if job not in wanted]
+    if wanted:
+        with suppress(OSError):
+            _request_file().parent.mkdir(parents=True, exist_ok=True)
+            _request_file().write_text("\n".join([*wanted, *earlier]), encoding="utf-8")
+    if not all(map(loops.are_compiled, jobs)):
+        _start(priority)
+
+
+def _start(priority: str) -> None:
+    """Start a compiling process unless one is running."""
+    if is_compiling():
         return
     folder = disk_cache.folder()  # may set a variable, so call this before starting the process
     optimized = ["-" + "O" * sys.flags.optimize] if sys.flags.optimize else []
     with suppress(OSError):  # without compiled loops, shaders solve
         folder.mkdir(parents=True, exist_ok=True)
-        _State.compiler = _start_process([sys.executable, *optimized, "-m", COMPILER])
+        command = [sys.executable, *optimized, "-m", COMPILER, *filter(None, [priority])]
+        _State.compiler = _start_process(command)
         atexit.register(_State.compiler.terminate)
-
-
-def request(job: str) -> None:
-    """Request that the compiling process compile the loops of a job next."""
-    with suppress(OSError):
-        _request_file().write_text(job, encoding="utf-8")
-    compile_meanwhile(job)
 
 
 def _start_process(command: list[str]) -> subprocess.Popen[bytes]:
@@ -118,16 +105,16 @@ def provide(job: str, report: Report) -> None:
     Parameters
     ----------
     job : str
-        Name of the job in `napari_hmrf.compiling`; "" stands for all usual loops.
+        Name of the job in `napari_hmrf.compiling`; "" stands for all loops.
     report : callable
-        Function called with a `Stage` several times a second. It may raise an exception to stop
+        Function called with a `Progress` several times a second. It may raise an exception to stop
         waiting; the compilation then continues.
     """
     if not loops.are_compiled(job):
         request(job)
         is_repeated = False
         while not disk_cache.compiled(job):
-            if not (_is_compiling() or disk_cache.compiled(job)):
+            if not (is_compiling() or disk_cache.compiled(job)):
                 if is_repeated:
                     loops.compile_alone()
                     break
@@ -135,23 +122,30 @@ def provide(job: str, report: Report) -> None:
                 request(job)
                 is_repeated = True
                 continue
-            report(stage())
+            report(progress(job))
             time.sleep(_POLL)
     loops.use()
 
 
-def _is_compiling() -> bool:
+def is_compiling() -> bool:
     """Return whether a compiling process is running, started by this or another process."""
     ours = _State.compiler
     return (ours is not None and ours.poll() is None) or _another_process_compiles()
 
 
-def stage() -> Stage:
-    """Return the progress of the compiling process."""
+def progress(*jobs: str) -> Progress:
+    """Return the progress of the compilation of the loops of some jobs; `EVERYTHING` is all."""
+    counted = [*sets.COSTS] if sets.EVERYTHING in jobs else jobs
+    missing = [job for job in counted if not disk_cache.compiled(job)]
+    return _stage().progress(counted, missing)
+
+
+def _stage() -> Stage:
+    """Return the stage of the compiling process."""
     try:
         return Stage(*_status()[2:])
     except TypeError:
-        return _NO_STAGE
+        return Stage()
 
 
 # Compiling process
@@ -163,24 +157,24 @@ def begin() -> bool:
         return False
     try:
         disk_cache.folder().mkdir(parents=True, exist_ok=True)
-        _write_status(_NO_STAGE)
+        _write_status(Stage())
     except OSError:
         return False
     return True
 
 
 def lower_priority() -> None:
-    """Lower the priority of this process to idle, because no process depends on the loops yet."""
+    """Lower the priority of this process to idle, so that it does not delay a solve or a drag."""
     with suppress(psutil.Error, OSError):
         idle = getattr(psutil, "IDLE_PRIORITY_CLASS", 19)
         psutil.Process().nice(idle)
 
 
-def requested_job() -> str:
-    """Return the most recently requested job, or "" if there is no request."""
+def requested_jobs() -> list[str]:
+    """Return the names of the requested jobs; the first one is the most urgent."""
     with suppress(OSError):
-        return _request_file().read_text(encoding="utf-8")
-    return ""
+        return _request_file().read_text(encoding="utf-8").split()
+    return []
 
 
 def publish_stage(reached: Stage) -> None:
@@ -195,7 +189,7 @@ def end(compiled: bool) -> None:
     Parameters
     ----------
     compiled : bool
-        True to mark all usual loops as compiled.
+        True to mark all loops as compiled.
     """
     with suppress(OSError):
         if compiled:

@@ -14,8 +14,6 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from napari_hmrf.compute.compile_cache import sets
-
 _PACKAGE = "napari_hmrf"
 #: Package that contains the loops of the solver, and its folder.
 _SOLVER = f"{_PACKAGE}.solver.backends.cpu"
@@ -78,14 +76,14 @@ def mark(job: str = "") -> Path:
     Parameters
     ----------
     job : str
-        Job of `napari_hmrf.compiling` that compiled the loops; by default, all usual loops.
+        Job of `napari_hmrf.compiling` that compiled the loops; by default, all jobs.
     """
-    return folder() / f"loops-{_key()}{job and '-'}{job}.compiled"
+    return folder() / f"loops-{_key()}-{job or 'all'}.compiled"
 
 
 def compiled(job: str) -> bool:
     """Return whether the loops of a job are compiled, by that job or by the job of all loops."""
-    return (job not in sets.ON_REQUEST and mark().exists()) or mark(job).exists()
+    return mark().exists() or mark(job).exists()
 
 
 @cache

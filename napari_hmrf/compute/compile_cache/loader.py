@@ -1,4 +1,4 @@
-"""Background thread that loads the cached loops in small steps.
+"""Background thread that loads the cached loops in small steps, each time a job needs new ones.
 
 The window and the compute thread continue meanwhile, because each step holds the GIL for less than
 the duration of a frame. The loader does not execute loops, because numba's thread pool must not be
@@ -18,7 +18,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from napari_hmrf.compute.compile_cache import disk_cache
+from napari_hmrf.compute.compile_cache import disk_cache, sets
 
 _log = logging.getLogger("napari_hmrf")
 #: Pause after each step, as a multiple of the duration of the step.
@@ -26,23 +26,32 @@ _REST = 1.0
 
 
 class _Loader:
-    """Thread that loads all loops once; a forked child creates a new loader."""
+    """Thread that loads all loops on disk; a forked child creates a new loader."""
 
     def __init__(self) -> None:
         # Held during each step and during a fork. Otherwise a forked child could inherit a lock of
         # numba that is never released.
         self.step = threading.Lock()
-        self.stopped, self.done = threading.Event(), threading.Event()
+        self.stopped = threading.Event()
         self.thread: threading.Thread | None = None
+        # Jobs whose loops are loaded, or need no loading because it failed.
+        self._jobs: frozenset[str] = frozenset()
         self._lock = threading.Lock()
 
-    def start(self) -> None:
+    def has(self, job: str, wait: float) -> bool:
+        """Return whether the loops of a compiled job are loaded; otherwise start to load them."""
         with self._lock:
-            if self.thread is None:
+            if job in self._jobs:
+                return True
+            if self.thread is None or not self.thread.is_alive():
                 self.thread = threading.Thread(
                     target=self._run, name="napari-hmrf loader", daemon=True
                 )
                 self.thread.start()
+            running = self.thread
+        if wait:
+            running.join(wait)
+        return job in self._jobs
 
     def stop(self) -> None:
         """Stop the thread before the interpreter exits and frees memory that the thread uses."""
@@ -51,30 +60,31 @@ class _Loader:
             self.thread.join(2.0)
 
     def _run(self) -> None:
+        jobs = frozenset(filter(disk_cache.compiled, (sets.EVERYTHING, *sets.COSTS)))
         steps = _steps()
         try:
             while not self.stopped.is_set():
                 begun = time.perf_counter()
                 with self.step:
                     if next(steps, None) is None:
-                        return
+                        break
                 self.stopped.wait(_REST * (time.perf_counter() - begun))
         except Exception:  # noqa: BLE001 - each loop is then loaded at its first call
             _log.debug("the cached loops could not be loaded in the background", exc_info=True)
-        finally:
-            self.done.set()
+        self._jobs |= jobs
 
 
-def loaded(wait: float = 0.0) -> bool:
-    """Start loading all loops, and return whether they are in memory.
+def loaded(job: str = sets.EVERYTHING, wait: float = 0.0) -> bool:
+    """Start loading all loops on disk, and return whether those of a job are in memory.
 
     Parameters
     ----------
+    job : str
+        Job whose loops are on disk.
     wait : float
         Longest time to wait for the loader, in seconds.
     """
-    _loader.start()
-    return _loader.done.wait(wait)
+    return _loader.has(job, wait)
 
 
 def begun() -> bool:

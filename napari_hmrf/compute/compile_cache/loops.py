@@ -1,10 +1,11 @@
 """State of the compiled loops in this process.
 
-Compiling all loops takes a minute or more. In the process of a window, compilation would hold the
-GIL, so another process compiles the loops (`compile_cache.compiler`) and numba stores them on disk
-(`compile_cache.disk_cache`). Until the loops are ready, shaders solve, and `backends.arrays`
-performs the host's part in NumPy. A process that has started without compiled loops loads them in
-the background (`compile_cache.loader`) and switches to them between two solves.
+Compiling all loops takes minutes. In the process of a window, compilation would hold the GIL, so
+another process compiles the loops (`compile_cache.compiler`), in the order in which they are needed
+(`compile_cache.sets`), and numba stores them on disk (`compile_cache.disk_cache`). Until the loops
+of a solve are ready, shaders solve, and `backends.arrays` performs the host's part in NumPy. A
+process that has started without compiled loops loads them in the background
+(`compile_cache.loader`) and switches to them between two solves.
 
 If the environment contains ``NAPARI_HMRF_COMPILE=here``, no other process is started, and each
 solve compiles the loops that it requires. This mode is for batch jobs and tests.
@@ -13,8 +14,7 @@ solve compiles the loops that it requires. This mode is for batch jobs and tests
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
@@ -37,21 +37,15 @@ __all__ = [
 HERE = "NAPARI_HMRF_COMPILE"
 
 
-@dataclass
-class _Part:
-    """State of one group of loops in this process."""
-
-    #: True if this process computes with the compiled loops.
-    in_use: bool = False
-    #: True if this process has started to compute without the compiled loops.
-    begun_without: bool = False
-
-
 class _State:
-    """State of all groups of loops in this process."""
+    """State of the loops in this process."""
 
-    solver = _Part()
-    pictures = _Part()
+    #: True if the current solve uses the compiled loops.
+    in_use = False
+    #: Jobs whose loops this process uses.
+    used: ClassVar[set[str]] = set()
+    #: True if this process has started to compute without loops that were not compiled yet.
+    begun_without = False
     #: True if this process compiles the loops because no other process can.
     alone = False
 
@@ -67,23 +61,36 @@ def compile_alone() -> None:
 
 
 def in_use() -> bool:
-    """Return whether this process solves with the compiled loops."""
-    return _State.solver.in_use or compile_here()
+    """Return whether the current solve uses the compiled loops."""
+    return _State.in_use or compile_here()
 
 
-def use() -> None:
-    """Solve with the loops from now on, compiling them if necessary."""
-    _State.solver.in_use = True
+def use(are_used: bool = True) -> None:
+    """Set whether the solve that begins uses the loops; missing loops are compiled when called."""
+    _State.in_use = are_used
 
 
-def ready() -> bool:
-    """Return whether the loops can solve now; if so, this process uses them from now on."""
-    return _ready(_State.solver)
+def ready(job: str) -> bool:
+    """Return whether the loops of a job can be used without a delay.
+
+    Loading the loops takes as long as computing a few pictures. This delay is acceptable in a
+    process that has not computed yet. Later, the delay would interrupt a drag, so the loops are
+    loaded in the background.
+    """
+    if compile_here() or job in _State.used:
+        return True
+    if not disk_cache.compiled(job):
+        _State.begun_without = True
+        return False
+    if _State.begun_without and not loader.loaded(job):
+        return False
+    _State.used.add(job)
+    return True
 
 
 def ready_for_pictures() -> bool:
-    """Return whether loops can warp pictures now; if so, use them in this process from now on."""
-    return _ready(_State.pictures, sets.PICTURES)
+    """Return whether the loops can warp pictures now."""
+    return ready(sets.PICTURES)
 
 
 def are_compiled(job: str) -> bool:
@@ -94,21 +101,6 @@ def are_compiled(job: str) -> bool:
 def ready_for_volumes() -> bool:
     """Return whether the loops can solve volumes now."""
     return are_compiled(sets.VOLUMES)
-
-
-def _ready(part: _Part, job: str = "") -> bool:
-    """Return whether a group of loops can be used now, and record the result."""
-    # Loading the loops takes as long as computing a few pictures. This delay is acceptable in a
-    # process that has not computed yet. Later, the delay would interrupt a drag, so the loops are
-    # loaded in the background.
-    if part.in_use or compile_here():
-        return True
-    if part.begun_without:
-        part.in_use = disk_cache.mark().exists() and loader.loaded()
-    else:
-        part.in_use = disk_cache.compiled(job)
-        part.begun_without = not part.in_use
-    return part.in_use
 
 
 def only_read(values: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -8,9 +8,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from napari_hmrf.compute.compile_cache import sets
-from napari_hmrf.compute.compile_cache.compiler import Stage
 from napari_hmrf.compute.compile_cache.loader import before_numba, cached_loops
+from napari_hmrf.compute.compile_cache.sets import COSTS
+from napari_hmrf.compute.compile_cache.stage import Stage
+
+# Time that this computer is assumed to have spent at the pace of `COSTS`, in seconds, so that the
+# first loops do not decide the estimate.
+_ASSUMED = 5.0
 
 
 class _State:
@@ -18,6 +22,8 @@ class _State:
 
     #: Number of loops that this process has compiled.
     compiled = 0
+    #: Time that they took, and time that `COSTS` expects, in seconds.
+    spent = expected = _ASSUMED
     #: True while a job reports its progress.
     watched = False
 
@@ -31,7 +37,7 @@ def watched(job: str, report: Callable[[Stage], object]) -> Iterator[None]:
     Parameters
     ----------
     job : str
-        Key of `sets.COUNTS`.
+        Key of `sets.COSTS`, or "" for loops that are in no set.
     report : callable
         Function called with a `Stage`. It may raise an exception to stop the compilation.
     """
@@ -41,26 +47,29 @@ def watched(job: str, report: Callable[[Stage], object]) -> Iterator[None]:
     before_numba()
     from numba.core import event  # heavy: numba
 
-    of = min(_count_loops() + sets.COUNTS[job], sets.FULL_COUNT)
-    here, begun = threading.get_ident(), time.perf_counter()
-    before, depth = _State.compiled, 0
+    here, first = threading.get_ident(), _count_loops()
+    cost = COSTS[job].seconds / COSTS[job].loops if job else 0.0
+    depth, begun = 0, 0.0
 
     class Watch(event.Listener):  # type: ignore[misc]
         def on_start(self, happening: Any) -> None:
-            nonlocal depth
+            nonlocal depth, begun
             if threading.get_ident() == here:
                 depth += 1
                 # Report only the outermost loop; numba catches exceptions raised in nested ones.
                 if depth == 1:
-                    compiled = _State.compiled - before
-                    pace = (time.perf_counter() - begun) / compiled if compiled else 0.0
-                    report(Stage(job, _count_loops(), of, pace))
+                    begun = time.perf_counter()
+                    pace = _State.spent / _State.expected if job else 0.0
+                    report(Stage(job, _count_loops() - first, pace))
 
         def on_end(self, happening: Any) -> None:
             nonlocal depth
             if threading.get_ident() == here:
                 depth -= 1
-                _State.compiled += depth == 0
+                if depth == 0:
+                    _State.compiled += 1
+                    _State.spent += time.perf_counter() - begun
+                    _State.expected += cost
 
     _State.watched = True
     try:

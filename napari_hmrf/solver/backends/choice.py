@@ -106,7 +106,7 @@ def _fastest(job: SolveJob, checkpoint: Checkpoint, provide_loops: Callable[[], 
     except BackendError as error:
         provide_loops()
         return Choice(_compiled_loops(checkpoint), f"no usable OpenGL ({error})")
-    _compile_meanwhile(job)
+    compiler.compile_meanwhile()
     refusal = shaders.supports(job)
     if refusal is not None:
         shaders.close()
@@ -132,8 +132,8 @@ def _requested_shaders(job: SolveJob, name: str, checkpoint: Checkpoint) -> Back
     """Return the requested shader backend; raise an error if it does not support the job."""
     from napari_hmrf.solver.backends.opengl import OpenGLBackend  # heavy: opengl
 
-    _loops_are_ready(job)  # this call starts to load them for a later solve
-    _compile_meanwhile(job)
+    _loops_are_ready(job)
+    compiler.compile_meanwhile()
     shaders = OpenGLBackend(checkpoint, stage=name.partition(":")[2] or None)
     refusal = shaders.supports(job)
     if refusal is not None:
@@ -144,13 +144,12 @@ def _requested_shaders(job: SolveJob, name: str, checkpoint: Checkpoint) -> Back
 
 def _loops_are_ready(job: SolveJob) -> bool:
     """Return whether the loops for a job can be used without a delay."""
-    return loops.ready_for_volumes() if job.is_volume else loops.ready()
-
-
-def _compile_meanwhile(job: SolveJob) -> None:
-    """Start another process that compiles the usual loops, except the loops for volumes."""
-    if not job.is_volume:
-        compiler.compile_meanwhile()
+    if job.is_volume:
+        loops.use(False)
+        return loops.ready_for_volumes()
+    are_ready = loops.ready(job.loops)
+    loops.use(are_ready)  # the host's part uses them beside shaders, too
+    return are_ready
 
 
 def _compiled_loops(checkpoint: Checkpoint) -> Backend[Any]:

@@ -22,9 +22,9 @@ def cold(monkeypatch, tmp_path):
 
     monkeypatch.delenv("NAPARI_HMRF_COMPILE")
     monkeypatch.setattr(disk_cache, "folder", lambda: tmp_path)
-    monkeypatch.setattr(loops._State, "solver", loops._Part())
-    monkeypatch.setattr(loops._State, "pictures", loops._Part())
-    monkeypatch.setattr(loops._State, "alone", False)
+    for name in ("in_use", "begun_without", "alone"):
+        monkeypatch.setattr(loops._State, name, False)
+    monkeypatch.setattr(loops._State, "used", set())
     monkeypatch.setattr(compiler._State, "compiler", None)
     monkeypatch.setattr(compiler, "_start_process", Compiler)
     monkeypatch.setattr(loader, "_loader", loader._Loader())

@@ -32,7 +32,8 @@ from napari_hmrf import (
     solve,
     warp,
 )
-from napari_hmrf.compute.compile_cache import compiler, disk_cache, loader, loops
+from napari_hmrf.compute.compile_cache import compiler, disk_cache, loader, loops, sets, stage
+from napari_hmrf.compute.compile_cache.stage import PREPARING, Stage
 from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.data import phantom
 from napari_hmrf.solver.backends.choice import COMPILING, open_backend
@@ -126,13 +127,13 @@ def test_auto_uses_a_software_rasteriser_until_the_loops_are_compiled(cold):
     if reason == "a GPU is available":
         pytest.skip("this machine has a GPU")
     assert (name, reason) == ("opengl", COMPILING)
-    assert cold == [[sys.executable, "-m", compiler.COMPILER]]
+    assert cold == [[sys.executable, "-m", compiler.COMPILER, compiler.IDLE]]
     opened_backend("auto")
     assert len(cold) == 1
-    disk_cache.mark().touch()
+    disk_cache.mark(IMAGE.loops).touch()
     with loader._loader.step:  # the loops are not loaded yet
         assert opened_backend("auto") == ("opengl", COMPILING)
-    assert loader._loader.done.wait(LONG)
+    assert loader.loaded(IMAGE.loops, LONG)
     name, reason = opened_backend("auto")
     assert name == "cpu"
     assert reason.startswith("OpenGL here is software only")
@@ -173,28 +174,29 @@ def test_a_job_compiles_the_loops_of_large_motion_with_and_without_data(shape, h
 def test_a_cpu_solve_waits_for_its_loops_and_reports_progress(model, cold):
     prior, optimizer = MODELS[model]
     pending = BackgroundSolve(prior, optimizer)
-    pending.wait_for_report("starting to compile")
+    pending.wait_for_report(PREPARING)
     assert cold == [[sys.executable, "-m", compiler.COMPILER]]
-    job = compiler.requested_job()
+    (job,) = compiler.requested_jobs()
     assert job == SolveJob.of(PROBLEM, prior.resolved(PROBLEM), optimizer).loops
-    assert job in [each.name for each in compiling.jobs()]
-    compiler.publish_stage(compiler.Stage(job, 3, 10, 2.5))
-    report = pending.wait_for_report("compiling")
-    assert report.message == "compiling loops (3 of 10), about 18 s left"
-    assert report.fraction == pytest.approx(0.3)
+    cost = sets.COSTS[job]
+    # A fifth remains, on a computer of which the first set takes 100 s.
+    compiler.publish_stage(Stage(job, 0.8 * cost.loops, 100 / cost.seconds))
+    report = pending.wait_for_report(f"{PREPARING}: ")
+    assert report.message == f"{PREPARING}: about 20 s left"
+    assert report.fraction == pytest.approx(0.8)
     disk_cache.mark(job).touch()
     assert pending.answer.result(LONG).provenance.backend == "cpu"
 
 
 def test_a_solve_can_be_cancelled_during_compilation_and_the_next_one_reports_it(cold):
     first = BackgroundSolve(*MODELS["elastic"])
-    first.wait_for_report("starting to compile")
+    first.wait_for_report(PREPARING)
     first.cancel.set()
     with pytest.raises(Cancelled):
         first.answer.result(LONG)
     second = BackgroundSolve(*MODELS["schedule"])
-    second.wait_for_report("starting to compile")
-    assert compiler.requested_job() == "schedule"
+    second.wait_for_report(PREPARING)
+    assert compiler.requested_jobs() == ["schedule", "elastic"]
     disk_cache.mark("schedule").touch()
     second.answer.result(LONG)
     assert len(cold) == 1
@@ -222,8 +224,8 @@ def test_the_compiler_interrupts_a_job_for_a_newer_request(cold, monkeypatch):
         def run():
             done.append(f"{name} begun")
             if name == "schedule" and done.count("schedule begun") == 1:
-                compiler._request_file().write_text("converged")
-            current[0](compiler.Stage(name, 1, 2, 1.0))
+                compiler._request_file().write_text("converged\nschedule")
+            current[0](Stage("elastic", 1, 1.0))
             done.append(name)
 
         return compiling.Job(name, run)
@@ -244,12 +246,11 @@ def test_the_compiler_interrupts_a_job_for_a_newer_request(cold, monkeypatch):
         "schedule begun",
         "converged begun",
         "converged",
+        "schedule begun",
+        "schedule",
         "lower priority",
         "elastic begun",
         "elastic",
-        "lower priority",
-        "schedule begun",
-        "schedule",
     ]
     assert disk_cache.mark("converged").exists()
 
@@ -261,8 +262,8 @@ def test_the_required_loops_are_compiled_first_without_opengl(cold, monkeypatch)
 
     monkeypatch.setattr("napari_hmrf.solver.backends.opengl.OpenGLBackend", Missing)
     pending = BackgroundSolve(*MODELS["converged"], "auto")
-    pending.wait_for_report("starting to compile")
-    assert compiler.requested_job() == "converged"
+    pending.wait_for_report(PREPARING)
+    assert compiler.requested_jobs() == ["converged"]
     disk_cache.mark("converged").touch()
     assert "no OpenGL here" in pending.answer.result(LONG).provenance.reason
 
@@ -289,7 +290,7 @@ def test_a_request_missed_by_an_ending_compiler_is_repeated(cold, monkeypatch):
             """Do nothing: there is no process."""
 
     def started(command):
-        assert compiler.requested_job() == "volume"
+        assert compiler.requested_jobs() == ["volume"]
         disk_cache.mark("volume").touch()
         return Ending()
 
@@ -317,7 +318,7 @@ def test_one_process_compiles_at_a_time(cold, tmp_path):
     compiler.end(compiled=True)
     assert disk_cache.mark().exists()
     assert not compiler._status_file().exists()
-    assert loops.ready()
+    assert loops.ready("elastic")
 
 
 @pytest.fixture
@@ -445,30 +446,66 @@ def test_the_loops_are_never_ready_if_no_folder_is_writable(cold, monkeypatch, t
     (tmp_path / "file").touch()
     monkeypatch.setattr(disk_cache, "folder", lambda: tmp_path / "file" / "folder")
     assert not compiler.begin()
-    assert not loops.ready()
+    assert not loops.ready("elastic")
 
 
 def test_loops_for_volumes_are_ready_only_once_compiled(cold):
-    disk_cache.mark().touch()
+    disk_cache.mark("pictures").touch()
     assert loops.ready_for_pictures()
     assert not loops.ready_for_volumes()
     disk_cache.mark("volume").touch()
     assert loops.ready_for_volumes()
 
 
-def test_loops_for_volumes_are_compiled_only_on_request(cold, monkeypatch):
+def test_a_stopped_preparation_continues_with_what_is_missing(cold, monkeypatch):
     done = []
-    names = ["elastic", "volume"]
-    made = [compiling.Job(name, lambda name=name: done.append(name)) for name in names]
-    monkeypatch.setattr(compiling, "jobs", lambda: list(made))
+
+    def job(name):
+        return compiling.Job(name, lambda: done.append((name, compiler.progress("").fraction)))
+
+    names = ["elastic", "volume", "data"]
+    monkeypatch.setattr(sets, "COSTS", {name: sets.Cost(4, 10.0) for name in names})
+    monkeypatch.setattr(stage, "COSTS", sets.COSTS)
+    monkeypatch.setattr(compiling, "jobs", lambda: [job(name) for name in names])
     monkeypatch.setattr(compiling, "_is_cached", lambda: True)
     monkeypatch.setattr(compiler, "lower_priority", lambda: None)
     monkeypatch.setenv("NAPARI_HMRF_COMPILE", "there")
+    disk_cache.mark("elastic").touch()
+    compiler.request("data")
     assert compiling.main() == 0
-    assert done == ["elastic"]
+    assert done == [("data", pytest.approx(1 / 3)), ("volume", pytest.approx(2 / 3))]
     assert disk_cache.compiled("")
-    assert not disk_cache.compiled("volume")
+    assert compiler.progress("").fraction == 1
+
+
+def test_requests_of_an_earlier_process_are_forgotten(cold):
     compiler._request_file().write_text("volume", encoding="utf-8")
-    assert compiling.main() == 0
-    assert done == ["elastic", "volume"]
-    assert disk_cache.compiled("volume")
+    compiler.request("data")
+    assert compiler.requested_jobs() == ["data"]
+    compiler.request("large-motion")
+    assert compiler.requested_jobs() == ["large-motion", "data"]
+
+
+def test_the_time_left_is_that_of_the_missing_sets_at_the_pace_of_the_computer():
+    jobs = ["elastic", "large-motion"]
+    first, second = (sets.COSTS[job] for job in jobs)
+    begun = Stage("elastic", first.loops // 5, 2.0)
+    part = begun.loops / first.loops
+    left = 2 * ((1 - part) * first.seconds + second.seconds)
+    assert begun.progress(jobs, jobs).seconds == pytest.approx(left)
+    assert begun.progress(jobs, jobs[:1]).seconds == pytest.approx(left - 2 * second.seconds)
+    # Loops that were expected in other sets do not complete a set.
+    assert 0 < Stage("elastic", 3 * first.loops, 2.0).progress(jobs, jobs[:1]).seconds < left
+
+
+@pytest.mark.parametrize(
+    ("seconds", "words"),
+    [
+        (0, PREPARING),
+        (2, f"{PREPARING}: about 5 s left"),
+        (61, f"{PREPARING}: about 65 s left"),
+        (91, f"{PREPARING}: about 2 minutes left"),
+    ],
+)
+def test_the_time_left_is_described_in_words(seconds, words):
+    assert stage.Progress(0.5, seconds).words == words
