@@ -13,6 +13,7 @@ from qtpy.QtWidgets import (
     QComboBox,
     QLabel,
     QLineEdit,
+    QProgressBar,
     QScrollBar,
     QTableView,
 )
@@ -83,6 +84,11 @@ class Screen:
         kinds = QAbstractButton, QComboBox, QAbstractSpinBox, QAbstractSlider, QTableView
         found = [each for kind in kinds for each in self._native.findChildren(kind)]
         return [each for each in found if each.isVisible() and not isinstance(each, QScrollBar)]
+
+    @property
+    def bar(self):
+        """Bar of the preparation of the computer."""
+        return self._native.findChild(QProgressBar)
 
     @property
     def slider(self):

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 from npe2 import PluginManager
-from qtpy.QtCore import QPoint, QPointF, Qt
+from qtpy.QtCore import QPoint, QPointF, Qt, QTimer
 from qtpy.QtGui import QWheelEvent
 from qtpy.QtTest import QTest
 from qtpy.QtWidgets import QApplication
@@ -78,9 +78,15 @@ def test_a_sample_opens_with_the_dock_undeformed_and_invites_to_drag(
     unstyled, without_controls, make_napari_viewer, qtbot, settle, at_rest
 ):
     viewer = make_napari_viewer(show=True)
-    viewer.open_sample("napari-hmrf", "brain")
+    docks = viewer.window.dock_widgets
+    before = []
+    viewer.layers.events.inserted.connect(lambda _: before.append(len(docks)))
+    # As from the menu, in the event loop.
+    QTimer.singleShot(0, partial(viewer.open_sample, "napari-hmrf", "brain"))
+    qtbot.waitUntil(lambda: len(docks) == 1, timeout=LONG_MS)
+    assert before[:2] == [0, 0], "the layers should appear before the dock is built"
     widget = dock(viewer)
-    assert len(viewer.window.dock_widgets) == 1
+    assert len(docks) == 1
     at_rest()
     settle(widget)
     assert widget.active
