@@ -359,5 +359,9 @@ class ViewerWatch:
             self._guide.invite()
 
     def _on_paint_hidden(self, layers: list[Any]) -> None:
+        """Report hidden layers; an active one is no longer, so that selecting it paints again."""
+        selection, image = self._viewer.layers.selection, self._session.image
+        if selection.active in layers and image is not None:
+            selection.active = image
         names = ", ".join(f"'{layer.name}'" for layer in layers)
         self._guide.add_aside(messages.PAINT_HIDDEN.format(names))

@@ -148,6 +148,11 @@ def test_the_deformed_image_returns_when_painting_ends(painted, settle):
         assert widget.tissue.mode == "pan_zoom" or end in ("image", "tool")
         widget.overlay = "nothing"
         settle(widget)
+        if end != "eye":  # the user has hidden the layer, which stays selected
+            assert viewer.layers.selection.active is not widget.tissue, end
+            viewer.layers.selection.active = widget.tissue
+            assert shows_paint(widget), f"{end}: selecting the layer does not show it"
+            assert widget.tissue.mode == "paint"
 
 
 def test_the_first_result_is_not_shown_while_the_user_paints(widget, small_sample, at_rest, settle):
