@@ -196,9 +196,10 @@ def readme() -> None:
     window.pull((140, 92), (122, 108), steps=10, rest=0.05)
     window.keep("images/motion")
     window.release()
-    dock.overlay = "equivalent"
+    dock.overlay, dock.arrows = "equivalent", True
     window.settle()
     window.keep("images/result", pointer=False)
+    dock.arrows = False
     window.pull((122, 108), (76, 132), steps=10, rest=0.05)
     window.release()
     if dock.model != "large motion":
@@ -277,6 +278,7 @@ def growing_tumour() -> None:
     window.open_sample(GROWING)
     dock, form = window.dock, window.form
     show_painted(window)
+    window.click(form.result.arrows)
     window.keep("tutorials/images/tumour-painted", pointer=False)
     window.show(form.result.overlay)
     window.choose(form.result.overlay, STRAIN)
@@ -380,6 +382,7 @@ def sliding() -> None:
     form = window.form
     window.dock.deform()
     window.wait_for_solution()
+    window.click(form.result.arrows)
     window.keep("tutorials/images/sliding-moved")
     table = form.tissue.table
     window.show(table)
@@ -470,6 +473,7 @@ def volume() -> None:
     form, viewer = window.form, window.viewer
     show_painted(window)
     viewer.dims.set_point(0, 10.0)
+    window.click(form.result.arrows)
     wait(0.5)
     window.keep("tutorials/images/volume-opened", pointer=False)
     table = form.motion.boundary.table

@@ -45,6 +45,8 @@ class SavedStudy:
         Name of the overlay in the window, or "".
     second : SecondPicture or None
         Second image on the grid of the study.
+    arrows : bool or None
+        Whether the window shows the arrows of the result; None if the file does not say.
     """
 
     __pydantic_config__ = STORED
@@ -54,6 +56,7 @@ class SavedStudy:
     digest: str = ""
     overlay: str = ""
     second: SecondPicture | None = None
+    arrows: bool | None = None
 
     def __post_init__(self) -> None:
         grid, second = self.study.grid, self.second
@@ -89,6 +92,7 @@ def write_study(
     image: bool = True,
     overlay: str = "",
     second: SecondPicture | None = None,
+    arrows: bool | None = None,
 ) -> Path:
     """Write a study to a file atomically, optionally with its solution.
 
@@ -110,6 +114,9 @@ def write_study(
         `SoftTissue.overlay`). By default, the window keeps its own choice.
     second : SecondPicture, optional
         Second image on the grid of the study, which the window opens with the study.
+    arrows : bool, optional
+        True if the window shows the arrows of the result when it opens the file. By default, the
+        window keeps its own choice.
 
     Returns
     -------
@@ -139,7 +146,7 @@ def write_study(
     digest = "" if pictures.image is None else _digest(pictures.image)
     if not image:
         study = replace(study, pictures=replace(pictures, image=None))
-    return _STUDIES.write(target, SavedStudy(study, solution, digest, overlay, second))
+    return _STUDIES.write(target, SavedStudy(study, solution, digest, overlay, second, arrows))
 
 
 def read_study(path: str | os.PathLike[str], *, image: npt.NDArray[Any] | None = None) -> StudyFile:

@@ -30,7 +30,9 @@ from napari_hmrf.layers.viewer_layers import (
     lies_still,
     still_there,
 )
+from napari_hmrf.layers.viewer_undo import undo_of
 from napari_hmrf.results.animation import MARKS
+from napari_hmrf.study.session import DisplayChoice, Session
 
 #: Kind of the layer that shows painted confidence.
 CONFIDENCE: Literal["painted confidence"] = "painted confidence"
@@ -99,6 +101,8 @@ class Result:
         Name of the slice, as in the metadata of the layers.
     look : _Look
         How the deformed layer is shown.
+    session : Session
+        Session of the viewer, which stores whether arrows are shown.
     paint_hidden : callable
         Called with the painted layers that were hidden for the deformed image.
     """
@@ -114,10 +118,11 @@ class Result:
         anchor: Any,
         where: str,
         look: _Look,
+        session: Session,
         paint_hidden: Callable[[list[Any]], object],
     ) -> None:
         self._layers, self._viewer, self._paint_hidden = layers, layers.viewer, paint_hidden
-        self._look = look
+        self._look, self._session = look, session
         #: Weak reference to the deformed layer.
         self.anchor: Callable[[], Any] = weakref.ref(anchor)
         self.where = where
@@ -181,6 +186,8 @@ class Result:
     def adopt(self, part: Part, layer: Any) -> None:
         """Use an existing layer as the layer of a part."""
         self._states[part] = _PartState(weakref.ref(layer), layer.name, layer.name)
+        if part == "arrows":
+            layer.events.visible.connect(self._on_eye)
         self.update_visibility()
 
     def put(self, part: Part, made: LayerData, source: Any = None, show: bool = True) -> None:
@@ -268,6 +275,23 @@ class Result:
             state.current = state.current or is_wanted
             self._layers.want(layer, wanted=is_wanted)
             self.update_visibility()
+
+    @property
+    def _wants_arrows(self) -> bool:
+        """True if the arrows are shown, by choice or because the result has no image."""
+        chosen = self._session.display.arrows
+        return not isinstance(self.anchor(), Image) if chosen is None else chosen
+
+    def show_chosen_arrows(self) -> None:
+        """Show or hide the arrows as chosen in the session."""
+        if (layer := self.layer("arrows")) is not None:
+            self._layers.want(layer, wanted=self._wants_arrows)
+
+    def _on_eye(self, _: Any) -> None:
+        """Choose whether arrows are shown if the user clicks the eye of their layer."""
+        layer = self.layer("arrows")
+        if layer is not None and self._layers.is_wanted(layer) != self._wants_arrows:
+            self._session.choose_display(arrows=self._layers.is_wanted(layer))
 
     def drop(self, part: Part) -> None:
         """Remove the layer of a part; if the user has renamed the layer, only hide it.
@@ -361,6 +385,7 @@ class Result:
         with self._layers.same_selection():
             if state is None or layer is None or not _fits(layer, made):
                 wanted = layer is None or self.is_wanted(part)
+                wanted = self._wants_arrows if part == "arrows" else wanted
                 self.drop(part)
                 layer = Layer.create(*made)
                 # Register the layer first, so that callbacks of the insertion can find it.
@@ -368,6 +393,8 @@ class Result:
                 self._layers.add(layer, self._index(part, made, source))
                 self._layers.want(layer, wanted=wanted)
                 state.name = layer.name
+                if part == "arrows":
+                    layer.events.visible.connect(self._on_eye)
                 if part in (PAINTED, CONFIDENCE):  # parts of the drawing, which the tools edit
                     hide_in_list(self._viewer, layer)
                 if made.kind == "vectors":
@@ -477,6 +504,8 @@ class ResultLayers:
         self._layers = layers_of(viewer)
         self._viewer = self._layers.viewer
         self._results: list[Result] = []
+        self._session = undo_of(viewer).session
+        self._session.displayed.connect(self._on_displayed)
         self._looks: weakref.WeakKeyDictionary[Any, _Look] = weakref.WeakKeyDictionary()
 
     @property
@@ -490,7 +519,7 @@ class ResultLayers:
             if result.anchor() is source and result.where == where:
                 return result
         look, report = self._look_of(source), self.paint_hidden.emit
-        self._results.append(Result(self._layers, source, where, look, report))
+        self._results.append(Result(self._layers, source, where, look, self._session, report))
         return self._results[-1]
 
     def pictures_of(self, source: Any) -> list[Any]:
@@ -567,6 +596,11 @@ class ResultLayers:
         before = self._look_of(source).undeformed
         paint = {"paint"} if layer_painted(self._viewer) is not None else set()
         self._set_undeformed(source, before - set(reasons) if reasons else before & paint)
+
+    def _on_displayed(self, display: DisplayChoice) -> None:
+        """Show or hide the arrows of all results, if the user has chosen this."""
+        for result in self._results if display.arrows is not None else ():
+            result.show_chosen_arrows()
 
     def _look_of(self, source: Any) -> _Look:
         return self._looks.setdefault(source, _Look())

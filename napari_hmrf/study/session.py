@@ -237,12 +237,16 @@ class DisplayChoice:
         Overlay on the image; "nothing" for none.
     in_colours : bool
         True if the second image is shown over the deformed image, both in colours.
+    arrows : bool or None
+        True if the arrows of results are shown. By default (None), they are shown only for results
+        without an image, because they cover it.
     """
 
     live: bool = True
     device: str = "auto"
     overlay: str = "nothing"
     in_colours: bool = False
+    arrows: bool | None = None
 
 
 class UnsavedWork:

@@ -156,6 +156,10 @@ class DockValues(Dock):
         "_form.result.overlay.value",
         'Overlay on the image: "nothing", or a name such as "magnitude", "grid" or "folds".',
     )
+    arrows = _Chosen[bool](
+        "_form.result.arrows.value",
+        "True if the arrows of the result are shown; False by default for the result of an image.",
+    )
     compare_with = _Chosen[Any](
         "_form.result.second.value",
         "Second image of the same tissue, to compare and to register, or None.",

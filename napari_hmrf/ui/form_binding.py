@@ -50,7 +50,7 @@ class FormBinding:
     fields : dict of str to ValueWidget
         Widget for each attribute of `ImageChoice`.
     display : dict of str to ValueWidget
-        Widget for each attribute of `DisplayChoice`.
+        Widget for each attribute of `DisplayChoice` except `arrows`, which `ResultView` shows.
     automatic : bool
         True while the program, rather than the user, changes values.
     """

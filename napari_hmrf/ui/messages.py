@@ -57,7 +57,7 @@ BEHIND = (
 #: Messages about a result that is missing, or that lacks an input.
 LOST = (
     "The result was in the layer '{layer}', which was deleted. To create it again, press "
-    f"{BUTTON} or pull tissue. To hide arrows, click the eye icon of their layer instead."
+    f"{BUTTON} or pull tissue. To hide arrows, untick 'arrows' instead."
 )
 FROM_A_FILE = (
     "A result file does not contain the input stiffness, motion and confidence. "

@@ -61,20 +61,21 @@ class StudyFiles:
         self._session = undo_of(viewer).session
 
     def writer(self, study: Study) -> tuple[Callable[..., Path], str]:
-        """Return `write_study` with the current overlay and second image of a study as arguments.
+        """Return `write_study` with the current display and second image of a study as arguments.
 
         An overlay that needs a layer which is not in the file is omitted, and so is a second image
         that cannot be read; the second value is the reason, or "".
         """
-        overlay, second = self._session.display.overlay, self._session.choice.compare_with
-        is_stored, picture, reason = overlay not in ("difference", "uncertainty"), None, ""
+        display, second = self._session.display, self._session.choice.compare_with
+        overlay = "" if display.overlay in ("difference", "uncertainty") else display.overlay
+        picture, reason = None, ""
         if second is not None:
             try:
                 picture = self._second_picture(second, study)
             except Exception as error:  # noqa: BLE001 - a layer may raise anything
                 reason = messages.in_short(error)
-        write = partial(write_study, overlay=overlay if is_stored else "", second=picture)
-        return write, reason
+        how = {"overlay": overlay, "second": picture, "arrows": display.arrows}
+        return partial(write_study, **how), reason
 
     def _second_picture(self, layer: Any, study: Study) -> SecondPicture:
         """Return the second image on the grid of a study; the same object while nothing changes."""
@@ -202,6 +203,8 @@ class StudyFiles:
             written.want(brightness, wanted=False)  # would tint the deformed image
         if saved.overlay in controller.form.result.overlay.choices:
             self._session.choose_display(overlay=saved.overlay)
+        if saved.arrows is not None:
+            self._session.choose_display(arrows=saved.arrows)
         self._dock.fit_view()
 
     def _undrawn_image(self, image: Any) -> Any:

@@ -7,6 +7,7 @@ from napari.components import ViewerModel
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.result_layers import layer_on
+from napari_hmrf.layers.viewer_undo import undo_of
 
 HERE = Frame.at((1.0, 1.0), ("pixel",) * 2)
 
@@ -16,6 +17,7 @@ def shown():
     """Return a function that shows a result of an image with the given parts."""
     viewer = ViewerModel()
     image = viewer.add_image(np.eye(4), name="scan")
+    undo_of(viewer).session.choose_display(arrows=True)
     results = ResultLayers(viewer)
 
     def show(*parts):
@@ -52,6 +54,28 @@ def test_a_part_that_the_user_has_hidden_stays_hidden_in_later_results(shown):
     assert visible(result) == ["image"]
     result.set_wanted("arrows", True)
     assert visible(result) == ["image", "arrows"]
+
+
+def test_arrows_over_an_image_are_shown_by_one_choice_for_all_results():
+    viewer = ViewerModel()
+    results, session = ResultLayers(viewer), undo_of(viewer).session
+    vectors = layer_on(HERE, np.ones((1, 2, 2)), "arrows", {"kind": "arrows"}, {}, "vectors")
+    sources = viewer.add_image(np.eye(4)), viewer.add_image(np.ones((4, 4)))
+    tissue = viewer.add_labels(np.ones((4, 4), int))
+    for source in (*sources, tissue):
+        results.show(source, HERE, {"arrows": vectors})
+    one, other, alone = (
+        results.at(each, HERE.slice_name).layer("arrows") for each in viewer.layers[:3]
+    )
+    assert [each.visible for each in (one, other, alone)] == [False, False, True]
+    session.choose_display(arrows=True)
+    assert one.visible
+    assert other.visible
+    one.visible = False  # the eye in the layer list
+    assert session.display.arrows is False
+    assert not other.visible
+    session.choose_display(overlay="grid")
+    assert not other.visible
 
 
 def test_no_part_is_shown_with_the_undeformed_image(shown):

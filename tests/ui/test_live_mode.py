@@ -393,13 +393,13 @@ def test_tissue_follows_during_a_stroke_of_the_brush(user_in_live_mode, settle):
     assert not any(shown), "the moved image became visible during the stroke"
     assert MEANWHILE in dock.status
     assert drawn_node(viewer, boundary).opacity == boundary.opacity
+    assert viewer.layers.selection.active is boundary, "the brush was deactivated"
     boundary.mode = "pan_zoom"
     settle(dock)
     assert deformed.visible, "the moved image is not shown after painting"
     assert (boundary.data == 1).sum() > 100
     assert_newest(dock)
     assert np.abs(dock.solution.displacement[24, 32]).max() < 1e-3
-    assert viewer.layers.selection.active is boundary, "the brush was deactivated"
     # Live mode follows the undo of the labels layer.
     person.key(Qt.Key.Key_Z, CTRL)
     settle(dock)

@@ -127,15 +127,17 @@ def test_a_study_is_opened_as_it_was_saved(stack, qtbot, wait_for, tmp_path):
     np.testing.assert_allclose(second.solution.displacement, first.solution.displacement, atol=2e-3)
 
 
-def test_the_overlay_is_saved_with_a_study_and_shown_again(
+def test_the_overlay_and_the_arrows_are_saved_with_a_study_and_shown_again(
     stack, viewer, open_alone, wait_for, tmp_path
 ):
     stack.drawing, stack.model, stack.overlay = DRAWING, "elastic", "equivalent"
+    stack.arrows = True
     wait_for(lambda: not stack.busy)
     path = stack.save_study(tmp_path / "case")
-    stack.overlay = "nothing"
+    stack.overlay, stack.arrows = "nothing", False
     open_alone(path)
     assert stack.overlay == "equivalent"
+    assert stack.arrows
     (shown,) = (layer for layer in viewer.layers if "equivalent" in layer.name)
     assert shown.visible
 

@@ -18,7 +18,7 @@ from tests.support.screen import Screen
 from tests.support.timeouts import LONG, LONG_MS
 
 #: Kinds of result layers that are shown in the tests of extents.
-EVERYTHING = {"image", "arrows", "magnitude"}
+EVERYTHING = {"image", "magnitude"}
 SHAPE, SCALE = (24, 32, 32), (1.5, 1.0, 1.0)
 #: World coordinate of the middle slice.
 MIDDLE = 12 * SCALE[0]
@@ -459,7 +459,7 @@ def test_a_cancelled_first_pull_of_a_volume_shows_no_result(cancelled, settle):
     person.drag((20, 20), (21, 21))
     settle(widget)
     assert len(widget.drawing.marks) == 2
-    assert visible_kinds(person.viewer) == {"image", "arrows"}
+    assert visible_kinds(person.viewer) == {"image"}
 
 
 def test_the_status_bar_reads_no_earlier_result_during_a_drag_in_a_volume(

@@ -49,6 +49,8 @@ class ResultForm(Container):
     how_far, landmarks : FixedText
         Displacement of the tissue, and distances of the landmarks from their targets.
     overlay : ComboBox
+    arrows : CheckBox
+        True if the arrows of the result are shown.
     comparison : Container
         Section with the second image; hidden if there is none to choose.
     second : LayerChoice
@@ -90,6 +92,9 @@ class ResultForm(Container):
             choices=overlay_choices("px"), value=NOTHING, label="overlay", tooltip=OVERLAY_TIP
         )
         narrow(self.overlay)
+        self.arrows = CheckBox(
+            text="arrows", tooltip="Show the displacement as arrows, which cover the image"
+        )
         self.reference = LayerSubmenu(
             layers,
             lambda layer: layer is not self._own_arrows and holds_field(layer),
@@ -128,9 +133,10 @@ class ResultForm(Container):
         views.margins = (0, 0, 0, 0)
         self.comparison = Container(widgets=[pair, views, self.registration], labels=False)
         slider = Container(widgets=[self.slider], labels=False)
-        top, overlay = row(self.play, slider, self.before), Form([self.overlay])
-        super().__init__(widgets=[top, overlay], labels=False)
-        for part in (slider, top):
+        top = row(self.play, slider, self.before)
+        over = row(Form([self.overlay]), self.arrows)
+        super().__init__(widgets=[top, over], labels=False)
+        for part in (slider, top, over):
             part.margins = (0, 0, 0, 0)
         texts, layout = QVBoxLayout(), self.native.layout()
         texts.setSpacing(0)
@@ -151,5 +157,5 @@ class ResultForm(Container):
         """Enable the widgets that require a result; disable them if `arrows` is None."""
         self._own_arrows = arrows
         self.reference.reset_choices()
-        for part in (self.slider, self.play, self.before, self.overlay):
+        for part in (self.slider, self.play, self.before, self.overlay, self.arrows):
             part.enabled = arrows is not None

@@ -89,6 +89,7 @@ class ResultView:
         self.more = ResultMenu(form, viewer, lambda: self.shown, self.message.emit, jobs)
         form.slider.changed.connect(self._on_slider)
         form.overlay.changed.connect(self._on_chosen)
+        form.arrows.changed.connect(lambda value: session.choose_display(arrows=value))
         form.reference.changed.connect(self._on_reference)
         form.play.changed.connect(self._on_play)
         form.before.native.pressed.connect(partial(setattr, self, "before", True))
@@ -108,6 +109,7 @@ class ResultView:
             (viewer.layers.selection.events.active, self._on_active),
             (results.changed, self._on_changed),
             (results.before_changed, self._show_distance),
+            (session.displayed, self._show_arrows),
         )
         with suppress(ValueError):  # another plugin has bound the key
             viewer.bind_key(BEFORE_KEY, self._while_key_is_held)
@@ -159,6 +161,7 @@ class ResultView:
         self.key.refresh()
         self.cursor.refresh()
         self._form.offer(self.arrows)
+        self._show_arrows()
         self.view_changed.emit()
         self._compare()
         if shown is None:
@@ -247,7 +250,7 @@ class ResultView:
         if shown is None or result is not shown.layers:
             # While the user paints, a new result is hidden.
             is_hidden = result.is_before and layer_painted(self._viewer) is not None
-            if arrows is not None and (arrows.visible or is_hidden):
+            if arrows is not None and (result.visible or is_hidden):
                 self.arrows = arrows
         elif result.is_away or not (result.moving or result.holds("arrows")):
             self.arrows = None
@@ -290,6 +293,12 @@ class ResultView:
             if part is not None and self.shown.source in self._viewer.layers:
                 self.message.emit(messages.LOST.format(layer=event.value.name))
             self.arrows = None
+
+    def _show_arrows(self, *_: Any) -> None:
+        """Tick the box of the arrows if those of the result are shown."""
+        shown = self.shown
+        is_wanted = shown is not None and shown.layers.is_wanted("arrows")
+        show_quietly(self._form.arrows, is_wanted)
 
     # Overlay
 

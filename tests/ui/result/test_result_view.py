@@ -233,6 +233,7 @@ def test_the_undeformed_image_is_shown_while_the_button_is_pressed(look, set_to,
         viewer.layers[name] for name in ("MR", "MR deformed, paper", "MR arrows, paper")
     )
     set_to(look, overlay="labels")
+    look.arrows = True
     labels = viewer.layers["Tissue deformed, paper"]
     labels.visible = False
     button = look._form.result.before.native
@@ -402,6 +403,8 @@ def test_arrows_end_at_the_displayed_position_of_the_tissue(look, set_to):
 
 def test_a_scale_key_is_shown_while_arrows_are_to_scale(look, set_to):
     bar, arrows, text = scale_bar_of(viewer_of(look)), look.result, look._form.result.how_far
+    assert not bar.visible
+    look.arrows = True
     assert bar.visible
     assert bar.position == "bottom_left"
     set_to(look, percent=50)
@@ -415,7 +418,9 @@ def test_a_scale_key_is_shown_while_arrows_are_to_scale(look, set_to):
     assert "Arrows are drawn" not in text.value
     arrows.visible = False
     assert not bar.visible
+    assert not look.arrows, "the check box does not follow the eye of the layer"
     arrows.visible = True
+    assert look.arrows
     bar.visible = False
     arrows.visible = False
     arrows.visible = True
@@ -837,7 +842,7 @@ def test_removing_the_arrows_shows_that_they_contain_the_result(look, run, wait_
     told = look.status
     assert "The result was in the layer 'MR arrows, paper', which was deleted" in told
     assert "press Deform" in told
-    assert "eye" in told
+    assert "untick 'arrows'" in told
     run(look)
     wait_for(lambda: not look.busy)
     assert look.status.startswith("Tissue moved up to")
@@ -851,7 +856,7 @@ def test_a_closed_dock_restores_the_full_motion_and_adds_no_status_until_it_is_o
     small_sample(viewer)
     run(look)
     wait_for(lambda: not look.busy)
-    bar = scale_bar_of(viewer)
+    bar, look.arrows = scale_bar_of(viewer), True
     assert bar.visible
     moved = viewer.layers["MR deformed, paper"]
     whole = moved.data.copy()
