@@ -25,6 +25,8 @@ _AROUND = 0.75
 _LEAST_HU = -1024
 # Values of air in a CT image, in Hounsfield units.
 _AIR_HU = (-1100, -900)
+# Largest number of samples along each axis, with which the outline of a volume is found in 50 ms.
+_SAMPLES = 64
 # Position of the void threshold between the intensity of air (0) and the median of tissue (1).
 _ABOVE = 0.01
 
@@ -50,12 +52,36 @@ def background_of(picture: npt.NDArray[Any], axes: int = 2) -> npt.NDArray[np.bo
     ndarray of bool, shape ([D,] H, W)
         Mask of the surroundings; all False if the image is constant.
     """
+    return _separated(picture, axes)[0]
+
+
+def surface_value(volume: npt.NDArray[Any]) -> float | None:
+    """Return an intensity between the dark surroundings of a grey volume and its tissue.
+
+    A surface of this intensity is the outline of the tissue. Large volumes are sampled.
+
+    Parameters
+    ----------
+    volume : ndarray, shape (D, H, W)
+
+    Returns
+    -------
+    float or None
+        None if no dark surroundings cover most of the edge of the volume.
+    """
+    sample = volume[tuple(slice(None, None, -(-size // _SAMPLES)) for size in volume.shape)]
+    dark, threshold = _separated(sample, 3)
+    return threshold if surrounds(dark) else None
+
+
+def _separated(picture: npt.NDArray[Any], axes: int) -> tuple[npt.NDArray[np.bool_], float]:
+    """Return the mask of `background_of`, and the largest intensity of its pixels."""
     from skimage.filters import threshold_otsu  # heavy: skimage
 
     grey = picture[..., :3].mean(axis=-1) if picture.ndim > axes else _without_padding(picture)
     values = grey[np.isfinite(grey)] if grey.dtype.kind == "f" else grey
     if not values.size or values.min() == values.max():
-        return np.zeros(grey.shape, dtype=bool)
+        return np.zeros(grey.shape, dtype=bool), 0.0
     threshold = threshold_otsu(values)
     surroundings = outside_of(grey > threshold)  # NaN counts as dark
     around = grey[surroundings & np.isfinite(grey)].astype(np.float64)
@@ -65,8 +91,8 @@ def background_of(picture: npt.NDArray[Any], axes: int = 2) -> npt.NDArray[np.bo
         bright = values[values > threshold]
         differ = rest.mean() - air.mean() > _APART * (bright.mean() - air.mean())
         if differ and min(len(air), len(rest)) > _PART * len(around):
-            surroundings = outside_of(grey > below)
-    return surroundings
+            surroundings, threshold = outside_of(grey > below), below
+    return surroundings, float(threshold)
 
 
 def _without_padding(grey: npt.NDArray[Any]) -> npt.NDArray[Any]:
