@@ -47,6 +47,14 @@ def sight_of(viewer: Any) -> Any:
     return direction
 
 
+def shorter_side_of(viewer: Any) -> float:
+    """Return the length of the shorter side of the canvas, in screen pixels."""
+    canvas = getattr(viewer, "canvas", None)
+    # Private attribute: before napari 0.9, the size of the canvas is not public.
+    size = viewer._canvas_size if canvas is None else canvas.size
+    return float(min(size))
+
+
 def text_of(viewer: Any) -> Any:
     """Return the text overlay of a viewer (in napari 0.9 or later, of its canvas)."""
     overlay = _overlay(viewer, "text")

@@ -6,7 +6,9 @@ import math
 from collections.abc import Sequence
 
 
-def usual_radius(shape: Sequence[int], spacing: Sequence[float]) -> float:
+def usual_radius(
+    shape: Sequence[int], spacing: Sequence[float], visible: float = math.inf
+) -> float:
     """Return the default radius of a patch of tissue that a tool moves.
 
     Parameters
@@ -15,13 +17,16 @@ def usual_radius(shape: Sequence[int], spacing: Sequence[float]) -> float:
         Shape of the image.
     spacing : sequence of float, shape (n,)
         Size of a pixel along each axis.
+    visible : float
+        Shortest side of the visible region, in the unit of the spacing.
 
     Returns
     -------
     float
-        Radius in the unit of the spacing: 1/16 of the shortest side of the image.
+        Radius in the unit of the spacing: 1/16 of the shortest side of the image, or of the visible
+        region if it is smaller.
     """
-    shorter = min(size * step for size, step in zip(shape, spacing, strict=True))
+    shorter = min(visible, *(size * step for size, step in zip(shape, spacing, strict=True)))
     return float(f"{shorter / 16:.2g}")
 
 

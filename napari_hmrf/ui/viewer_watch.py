@@ -6,10 +6,12 @@ from collections.abc import Iterator
 from contextlib import ExitStack, suppress
 from typing import Any
 
+import numpy as np
 from napari.layers import Labels, Points
 from psygnal import Signal
 
 from napari_hmrf.field.frame import PLACE
+from napari_hmrf.layers.compat import camera_of, shorter_side_of
 from napari_hmrf.layers.image_choice import in_middle, uncover
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.pixel_copy import CHANGES
@@ -90,6 +92,7 @@ class ViewerWatch:
             (viewer.layers.selection.events.active, self._on_active),
             (viewer.dims.events, self._on_slice),
             (self._session.selected, self._on_image),
+            (camera_of(viewer).events.zoom, self._suggest_radius),
         )
         self._results.paint_hidden.connect(self._on_paint_hidden)
         self._results.before_changed.connect(guide.show)
@@ -103,19 +106,30 @@ class ViewerWatch:
         self._space.close()
 
     def _on_moved(self, study: Study) -> None:
-        """Set the range of the tool sizes; for the first image, also set the sizes.
+        """Set the range of the tool sizes and the default radius; for the first image, the growth.
 
         After the first image, schedule `first_image_ready`.
         """
         size = study.grid.shape, study.grid.spacing
         usual, (smallest, largest) = (usual_radius(*size), usual_step(*size)), length_range(*size)
         self._form.motion.fields.limit(smallest, largest, *usual, largest_spread(*size))
+        self._suggest_radius()
         self._form.motion.boundary.table.largest = largest
         self._show_paint()
         if not self._has_started:
             self._has_started = True
-            self._form.motion.fields.begin_with(*usual)
+            self._form.motion.fields.begin_with(usual[1])
             self._first_timer.start()
+
+    def _suggest_radius(self, *_: Any) -> None:
+        """Make the default radius of the tools a fraction of the visible part of the image."""
+        if (study := self._session.study) is None:
+            return
+        shape, spacing = study.grid.shape, study.grid.spacing
+        world = np.linalg.norm(np.array(study.grid.known_place.matrix)[:-1, :-1], axis=0)
+        across = shorter_side_of(self._viewer) / float(camera_of(self._viewer).zoom)
+        visible = across * spacing[-1] / float(world[-1])
+        self._pointer.suggest_radius(usual_radius(shape, spacing, visible))
 
     def _on_first(self) -> None:
         """Emit `first_image_ready`, unless a painted layer is chosen or another layer is active."""

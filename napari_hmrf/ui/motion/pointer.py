@@ -183,6 +183,7 @@ class Pointer:
         self._early_drags.clear()
         self.tool = self._create_tool(tool)
         self._fields.show_for(tool)
+        self._show_settings()
         self._show_cursor()
         self.display.arrows.update_wheel()
         self.draw()
@@ -456,6 +457,7 @@ class Pointer:
             self.message.emit(motion_messages.CANCELLED)
         else:
             self.tool.select(None)
+            self._show_settings()
             self.message.emit("")
         self._show_cursor()
         self.draw()
@@ -465,6 +467,12 @@ class Pointer:
         self.release()
         removed = self.tool.remove()
         self.message.emit(motion_messages.REMOVED if removed else motion_messages.NOTHING_SELECTED)
+
+    def suggest_radius(self, radius: float) -> None:
+        """Set the radius of new marks, unless the user has set one."""
+        self._fields.suggest_radius(radius)
+        self._show_settings()
+        self._show_cursor()
 
     def resize(self, factor: float) -> None:
         """Multiply the brush radius by a factor."""
@@ -517,6 +525,8 @@ class Pointer:
         settings = self.tool.mark_settings
         if settings is not None:
             self._fields.show_settings(settings)
+        if settings is None or "radius" not in settings:
+            self._fields.show_new_radius()
 
     def _show_cursor(self) -> None:
         """Show the radius of the tool as a circle on the canvas."""
@@ -554,7 +564,7 @@ class Pointer:
     def _on_field(self, *_: object) -> None:
         self._show_cursor()
         self.report_tool()
-        self.tool.change(self._fields.settings)
+        self.tool.change(self._fields.shown_settings)
         if refusal := self._fields.pop_refusal():
             self.refusal.emit(refusal)
 

@@ -103,6 +103,9 @@ class ToolFields(Form):
         for each in (self.stroke_confidence, self.softness, self.components, self.material):
             each.tooltip = f"{each.tooltip}. {_SELECTED}"
         self._own_table = self._shows_further = False
+        # Radius of new marks until the user sets one.
+        self._suggested_radius = self.radius.value
+        self._radius_is_set = False
         # Smallest and largest value of each length; and why the last typed length was replaced.
         self._ranges: dict[Any, tuple[float, float]] = {}
         self._unit, self._refusal = "px", ""
@@ -137,6 +140,14 @@ class ToolFields(Form):
         if self._has_step:
             values["by"] = self._by
         return cast(ToolSettings, values)
+
+    @property
+    def shown_settings(self) -> ToolSettings:
+        """Settings in the fields, for the selected mark."""
+        shown = self.settings
+        if "radius" in shown:
+            shown["radius"] = float(max(self.radius.value, self.radius_range[0]))
+        return shown
 
     @property
     def _has_step(self) -> bool:
@@ -202,8 +213,9 @@ class ToolFields(Form):
     @property
     def patch_radius(self) -> float:
         """Radius of a new patch, in the range of radii."""
-        # The field may show the radius of a mark from a file, rounded to 0.
-        return float(max(self.radius.value, self.radius_range[0]))
+        # The field may show the radius of the selected mark, also of a file and rounded to 0.
+        radius = self.radius.value if self._radius_is_set else self._suggested_radius
+        return float(max(radius, self.radius_range[0]))
 
     @property
     def radius_range(self) -> tuple[float, float]:
@@ -265,6 +277,8 @@ class ToolFields(Form):
 
     def _on_length(self, field: Any, value: float) -> None:
         """Replace a length out of range by the nearest length in the range."""
+        if field is self.radius:
+            self._radius_is_set = True
         if field not in self._ranges:
             return
         least, largest = self._ranges[field]
@@ -277,12 +291,20 @@ class ToolFields(Form):
                 f"to {nearest:g} {unit}."
             )
 
-    def begin_with(self, radius: float, step: float) -> None:
-        """Set default lengths for an image, so that the tool *Grow* has an immediate effect.
+    def suggest_radius(self, radius: float) -> None:
+        """Set the radius of new marks, unless the user has set one."""
+        if not self._radius_is_set:
+            self._suggested_radius = radius
+
+    def show_new_radius(self) -> None:
+        """Show the radius of new marks, because no mark is selected."""
+        show_quietly(self.radius, self.patch_radius)
+
+    def begin_with(self, step: float) -> None:
+        """Set the default growth for an image, so that the tool *Grow* has an immediate effect.
 
         A displacement has no good default direction, so it stays 0 until the user sets it.
         """
-        self.radius.value = max(radius, self.radius_range[0])
         self.amount.value = self.amount.value or step
 
     def show_place(self, unit: str, ways: Directions) -> None:

@@ -6,6 +6,7 @@ from qtpy.QtCore import Qt
 from qtpy.QtTest import QTest
 
 from napari_hmrf import Landmark, read_study, write_study
+from napari_hmrf.layers.compat import camera_of
 from tests.support.screen import Screen
 
 
@@ -24,6 +25,28 @@ def test_the_range_of_a_length_depends_on_the_image(widget, settle, scale):
     assert least == pytest.approx(scale / 2)
     assert most == pytest.approx(40 * scale)
     assert fields.radius.native.textFromValue(least).strip("0.") != ""
+
+
+def test_the_radius_of_new_marks_follows_the_view_until_it_is_set(pulling_beside, settle):
+    touch, dock = pulling_beside
+    camera, radius = camera_of(touch.viewer), dock.fields.radius
+    usual = radius.value
+    camera.zoom *= 4
+    near = radius.value
+    assert near == pytest.approx(usual / 4, rel=0.15)
+    touch.drag((30, 30), (31, 31))
+    camera.zoom /= 4
+    assert radius.value == near, "the field does not show the selected mark"
+    touch.drag((50, 50), (52, 52))
+    radius.value = 7.0
+    camera.zoom *= 4
+    touch.key(Qt.Key.Key_Escape)
+    touch.drag((10, 50), (11, 51))
+    settle(dock)
+    assert [mark.radius for mark in dock.drawing.marks] == [near, 7.0, 7.0]
+    dock.undo()
+    dock.undo()
+    assert dock.drawing.marks[1].radius == usual
 
 
 def test_fields_change_the_last_mark_until_escape(pulling_beside, settle):
