@@ -74,8 +74,8 @@ class StudyFiles:
                 picture = self._second_picture(second, study)
             except Exception as error:  # noqa: BLE001 - a layer may raise anything
                 reason = messages.in_short(error)
-        how = {"overlay": overlay, "second": picture, "arrows": display.arrows}
-        return partial(write_study, **how), reason
+        write = partial(write_study, overlay=overlay, second=picture, arrows=display.arrows)
+        return write, reason
 
     def _second_picture(self, layer: Any, study: Study) -> SecondPicture:
         """Return the second image on the grid of a study; the same object while nothing changes."""
