@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.errors import ProblemError
+from napari_hmrf.errors import LayerError
 from napari_hmrf.posterior.uncertainty import Uncertainty, checked_labels, uncertainty
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.problem import Problem
@@ -132,10 +132,10 @@ def refuse_unknown(study: Study, problem: Problem) -> None:
         If the study has a measured motion, another model, or parts that slide.
     """
     if study.motion.measured is not None:
-        raise ProblemError(
+        raise LayerError(
             "measured motion",
-            "has a precision that is relative to the similarity of two images, so its uncertainty "
-            "is unknown. Remove the measured motion, or use landmarks with a standard deviation.",
+            "has no known precision: remove it (`measured=None`), or use landmarks with a standard "
+            "deviation.",
         )
     refuse_model(study, "uncertainty")
     refuse_sliding_parts(study, problem, "uncertainty")

@@ -210,6 +210,18 @@ def default_rigid(label: int) -> Material:
     return Material(label, "bone or implant", RIGID)
 
 
+#: Names of new rules, which follow the action until the user changes the name.
+NAMES_OF_ACTIONS: dict[Action, str] = {
+    "fixed": "holds",
+    "move": "moves",
+    "expand": "grows",
+    "press": "presses",
+    "pull": "pulls",
+    "slide": "slides",
+    "remove": "removed",
+}
+
+
 def default_rule(label: int) -> BoundaryRule:
     """Return the default rule of a new boundary: fixed."""
     return BoundaryRule(label, "fixed", name=f"boundary {label}")

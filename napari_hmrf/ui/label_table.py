@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any, Generic, NamedTuple
 
 from napari.layers import Labels
-from qtpy.QtCore import QEvent, QModelIndex, QSignalBlocker, Qt, Signal
+from qtpy.QtCore import QEvent, QModelIndex, QSignalBlocker, QSize, Qt, Signal
 from qtpy.QtGui import QColor, QIcon, QPixmap
 from qtpy.QtWidgets import QComboBox, QHeaderView, QSizePolicy, QTableWidget, QTableWidgetItem
 
@@ -31,6 +31,8 @@ _EVENTS = (*CHANGES, "colormap")
 _ROW_HEIGHT, _ROW_SPACE = 26, 10
 #: Largest height of a table, in rows; about five rows fit without scrolling.
 _HIGHEST = 6.6
+#: Width of a box in a cell beside its text, in pixels.
+_BESIDE = 28
 _COMPACT = "QComboBox { padding: 1px 0px 1px 3px; } QComboBox::drop-down { width: 14px; }"
 
 
@@ -302,6 +304,8 @@ class LabelTable(QTableWidget, Generic[Row]):
         if about.choices:
             box = self.cellWidget(row, column)
             box.setCurrentText(text)
+            width = box.fontMetrics().horizontalAdvance(text) + _BESIDE
+            item.setSizeHint(QSize(width, item.sizeHint().height()))
             box.setAccessibleName(f"{about.title} of {value.name or f'label {value.label}'}")
 
     def _order_tabs(self, row: int, column: int) -> None:

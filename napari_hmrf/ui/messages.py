@@ -47,8 +47,8 @@ ELASTIC_AGAIN = "The elastic model is used again, because large motion failed: {
 STAYS = "The last result is still shown."
 #: Message after a solve from a cold start that used up its budget.
 KEPT_RESULT = (
-    "Kept the earlier result, because a solve from scratch stopped before the tissue was fully "
-    "there. To solve further, choose a larger 'largest work' under 'Advanced'."
+    "Kept the earlier result: to solve from scratch, choose a larger 'largest work' under "
+    "'Advanced'."
 )
 BEHIND = (
     "Cancelled: the picture and the warnings do not include the last edits. "
@@ -56,8 +56,8 @@ BEHIND = (
 )
 #: Messages about a result that is missing, or that lacks an input.
 LOST = (
-    "The result was in the layer '{layer}', which was deleted. To create it again, press "
-    f"{BUTTON} or pull tissue. To hide arrows, untick 'arrows' instead."
+    f"To restore the result, press {BUTTON} or pull tissue: its layer '{{layer}}' was deleted. "
+    "To hide arrows, untick 'arrows' instead."
 )
 FROM_A_FILE = (
     "A result file does not contain the input stiffness, motion and confidence. "

@@ -13,7 +13,7 @@ from napari_hmrf.layers.label_colours import boundary_colours
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, layer_metadata
 from napari_hmrf.layers.slice_view import View, fits, frame_of, layer_extents, plane_shape
 from napari_hmrf.layers.viewer_layers import layers_of
-from napari_hmrf.tissue.boundary_rules import UNPAINTED, BoundaryRule, Material
+from napari_hmrf.tissue.boundary_rules import NAMES_OF_ACTIONS, UNPAINTED, BoundaryRule, Material
 from napari_hmrf.tissue.drawing import Drawing, Stroke
 from napari_hmrf.tissue.material_presets import Palette, Preset
 from napari_hmrf.tissue.usual_lengths import usual_step
@@ -71,8 +71,8 @@ def add_missing(
     if not has_boundary:
         frame = frame_of(image, view)
         push = usual_step(plane_shape(image, frame), frame.spacing)
-        holds = BoundaryRule(1, "fixed", name="holds")
-        grows = BoundaryRule(2, "expand", amount=push, name="grows")
+        holds = BoundaryRule(1, "fixed", name=NAMES_OF_ACTIONS["fixed"])
+        grows = BoundaryRule(2, "expand", amount=push, name=NAMES_OF_ACTIONS["expand"])
         description = layer_metadata(BOUNDARY, (holds, grows))
         boundary = blank("Boundary", description, colormap=boundary_colours())
         layers.add(boundary)

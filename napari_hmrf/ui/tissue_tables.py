@@ -27,6 +27,7 @@ from napari_hmrf.notes import Note
 from napari_hmrf.solver.model_advice import ABOUT_POISSON
 from napari_hmrf.tissue.boundary_rules import (
     FORCES,
+    NAMES_OF_ACTIONS,
     Action,
     BoundaryRule,
     Material,
@@ -208,8 +209,14 @@ class BoundaryTable(LabelTable[BoundaryRule]):
 
 
 def _action(rule: BoundaryRule, text: str) -> BoundaryRule:
-    """Return the rule with another action; the amount is reset if its unit differs."""
-    changed_rule = replace(rule, action=_BY_WORD[text])
+    """Return the rule with another action, and with its name unless the user has changed it.
+
+    The amount is reset if its unit differs.
+    """
+    action = _BY_WORD[text]
+    follows = rule.name == NAMES_OF_ACTIONS[rule.action]
+    name = NAMES_OF_ACTIONS[action] if follows else rule.name
+    changed_rule = replace(rule, action=action, name=name)
     same = (changed_rule.action in FORCES) == (rule.action in FORCES)
     if changed_rule.action == "slide":  # the distance of an expansion would usually be too large
         return replace(changed_rule, amount=0.0)

@@ -246,7 +246,7 @@ def test_measured_motion_and_large_motion_of_a_study_are_refused():
     shape = (24, 24)
     precision = np.broadcast_to(np.eye(2), (*shape, 2, 2))
     measured = MeasuredMotion(np.zeros((*shape, 2)), precision)
-    with pytest.raises(ProblemError, match="relative to the similarity"):
+    with pytest.raises(ProblemError, match="no known precision"):
         study_uncertainty(grown_study(measured=measured))
     with pytest.raises(ProblemError, match="large motion"):
         study_uncertainty(replace(grown_study(), model="large motion"))

@@ -184,7 +184,7 @@ def test_the_dock_fits_on_a_small_screen_without_cut_texts(
     assert points.fontMetrics().horizontalAdvance(points.text()) + 4 <= points.width()
     small_sample(found._viewer)
     found.image = found._viewer.layers["MR [1]"]
-    found.rules = (*found.rules, BoundaryRule(3, "expand", amount=-2.5))
+    found.rules = (*found.rules, BoundaryRule(3, "expand", amount=-2.5), BoundaryRule(4, "remove"))
     screen.press("Boundary and gravity")
     at_rest(thread=False)
     for table in form.tables:
@@ -192,6 +192,7 @@ def test_the_dock_fits_on_a_small_screen_without_cut_texts(
     boundaries = found.native.findChild(BoundaryTable)
     assert sum(not boundaries.isColumnHidden(at) for at in range(boundaries.columnCount())) == 7
     at_rest.until(lambda: boundaries.horizontalScrollBar().maximum() == 0)
+    assert_not_cut(*boundaries.findChildren(QComboBox))
 
 
 def assert_not_cut(*boxes):

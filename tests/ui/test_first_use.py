@@ -297,6 +297,8 @@ def test_the_wheel_scrolls_the_dock_without_changing_a_field(frame, chequered, s
     at_rest.pass_through()
     now = widget.model, widget.fields.radius.value, widget.percent, widget.rules
     assert now == before
+    screen.cell("holds", "Action").choose("moves")
+    assert screen.cell("moves", "Action").chosen() == "moves", "the name contradicts the action"
 
 
 def test_undo_of_a_choice_selects_none_if_the_earlier_layer_was_removed(widget, small_sample):

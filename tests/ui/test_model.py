@@ -100,7 +100,7 @@ def test_the_dock_and_a_script_solve_elastic_tissue_alike(widget, small_sample, 
 def test_only_settings_of_the_chosen_model_are_shown(widget, small_sample):
     image, *_ = small_sample(viewer_of(widget))
     form = widget._form.model
-    always = {"device"}
+    always = {"device", "live"}
     papers = {"reading", "penalty"}
     sweeps = {"method", "sweeps", "energy_change"}
 
@@ -112,7 +112,7 @@ def test_only_settings_of_the_chosen_model_are_shown(widget, small_sample):
     assert visible_settings() == always | papers | {"accuracy"}
     assert form.plane.native.isHidden()
     elastic(widget)
-    assert visible_settings() == always | {"accuracy", "grip"}
+    assert visible_settings() == always | {"accuracy", "grip", "strain", "drift"}
     assert not form.plane.native.isHidden()
     assert form.poisson.native.isHidden()  # The table has the ratios.
     widget.tissue = image
@@ -202,11 +202,11 @@ def test_the_typical_strain_belongs_to_elastic_models_and_a_drift_to_linear_ones
     qtbot.addWidget(form.native)
     for model, has_strain in (("elastic", True), ("large motion", True), ("paper", False)):
         form.choice = ModelChoice(model)
-        assert form.strain.native.isHidden() != has_strain
-        assert form.drift.native.isHidden() == (model != "elastic")
+        assert form.in_detail.strain.native.isHidden() != has_strain
+        assert form.in_detail.drift.native.isHidden() == (model != "elastic")
     # A drift that was ticked before can be switched off.
     form.choice = ModelChoice("large motion", drift=True)
-    assert not form.drift.native.isHidden()
+    assert not form.in_detail.drift.native.isHidden()
 
 
 def test_settings_that_cannot_be_typed_are_shown(qtbot):

@@ -38,6 +38,13 @@ class Monitor:
 
 
 Report = Callable[[Monitor], None]
+# Largest estimate of an error that is reported, in pixels; far from the solution it is arbitrary.
+_LARGEST_ERROR = 1000.0
+
+
+def words_of_cycle(cycle: int, error: float) -> str:
+    """Return the description of a cycle, with the estimated error in pixels if it is meaningful."""
+    return f"cycle {cycle}" + (f", error {error:.2g} px" if error < _LARGEST_ERROR else "")
 
 
 def part_done(first: float, now: float, tolerance: float) -> float:

@@ -28,7 +28,13 @@ from napari_hmrf.solver.backends.direct.factors import Factors
 from napari_hmrf.solver.backends.finite import FiniteModel
 from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
 from napari_hmrf.solver.backends.rigid.poses import Poses
-from napari_hmrf.solver.optimizers.base import Monitor, Outcome, Report, factorizing
+from napari_hmrf.solver.optimizers.base import (
+    Monitor,
+    Outcome,
+    Report,
+    factorizing,
+    words_of_cycle,
+)
 from napari_hmrf.solver.optimizers.cycle import Cycle, Smoothing
 from napari_hmrf.solver.optimizers.external_forces import ExternalForces
 from napari_hmrf.solver.optimizers.krylov import (
@@ -604,7 +610,7 @@ class Newton:
             error = step.error * balance.unit
             first = first or error
             self._count_cycle()
-            self._report(Monitor(f"cycle {self.cycles}, error {error:.2g} px", 0.0))
+            self._report(Monitor(words_of_cycle(self.cycles, error), 0.0))
             done = error <= max(_INNER_REDUCTION * first, _INNER_TOLERANCE * self._tolerance)
             return done or count >= patience or self._work.is_done
 

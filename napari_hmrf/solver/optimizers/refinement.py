@@ -41,7 +41,13 @@ from napari_hmrf.solver.backends.direct.factors import Factors
 from napari_hmrf.solver.backends.direct.sparse_factors import Links
 from napari_hmrf.solver.backends.earlier_results import Quality, StartQuality
 from napari_hmrf.solver.backends.linear import Balance, LinearModel, Planes
-from napari_hmrf.solver.optimizers.base import Monitor, Report, factorizing, part_done
+from napari_hmrf.solver.optimizers.base import (
+    Monitor,
+    Report,
+    factorizing,
+    part_done,
+    words_of_cycle,
+)
 from napari_hmrf.solver.optimizers.cycle import Cycle, Smoothing
 from napari_hmrf.solver.optimizers.krylov import ConjugateGradients, Step
 from napari_hmrf.solver.optimizers.self_check import BELIEVABLE, Rehearsal
@@ -509,7 +515,7 @@ class Refinement:
         cycles = len(self._gains)
         self._first = self._first or estimate
         done = part_done(self._first, estimate, tolerance)
-        self._report(Monitor(f"cycle {self.cycles}, error {estimate:.2g} px", done))
+        self._report(Monitor(words_of_cycle(self.cycles, estimate), done))
         if cycles >= self._cycles_at_most and estimate > tolerance:
             raise ConvergenceError(
                 f"the error of the field is still {estimate:.2g} px after {cycles} cycles. "

@@ -66,7 +66,7 @@ class Rehearsal(NamedTuple):
             def enough(latest: Step, target: float = target) -> bool:
                 nonlocal step, cycles
                 step, cycles = latest, cycles + 1
-                report(Monitor(f"rehearsal, cycle {cycles}", 0.0))
+                report(Monitor(f"check of the accuracy, cycle {cycles}", 0.0))
                 return latest.error <= target or cycles >= self.patience
 
             try:

@@ -147,15 +147,15 @@ class HoldTool(BrushTool):
 
 
 class FreeTool(BrushTool):
-    """Brush that releases the painted tissue from all boundary conditions."""
+    """Brush that frees the painted tissue from all boundary conditions."""
 
     name = "free"
-    title = "Release"
+    title = "Free"
     key = "F"
     fields = ("radius",)
-    hint = "Paint tissue to release it from everything that holds or moves it."
+    hint = "Paint tissue to free it from everything that holds or moves it."
     action = "free"
-    step = "released tissue"
+    step = "freed tissue"
 
 
 class SlideTool(BrushTool):

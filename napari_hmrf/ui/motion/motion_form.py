@@ -77,7 +77,7 @@ class MotionForm(Container):
         }
         self.more = Section("More tools")
         self.more.toggleButton().setToolTip(
-            "Brushes to release, push and remove tissue, to let it slide, and to change its kind "
+            "Brushes to free, push and remove tissue, to let it slide, and to change its kind "
             "and its confidence; and further settings of the tools"
         )
         self.fields, self.landmarks = ToolFields(), LandmarkChoice(layers)

@@ -40,8 +40,8 @@ NO_MOTION = (
     "over held or moved tissue."
 )
 SLIDES_INSIDE = (
-    "There is tissue on both sides of this surface: it keeps its place, and the two sides do not "
-    "slip past each other. To let tissue slide along it, give the other side the stiffness 0."
+    "To let tissue slide along this surface, give the other side the stiffness 0. With tissue on "
+    "both sides, it keeps its place."
 )
 NO_WAY = "This landmark holds tissue in place: drag the dot to its target to move the tissue."
 NO_OUTSIDE = (
@@ -55,7 +55,7 @@ _HELD = "a held place"
 _STROKES: dict[Action, str] = {
     "move": "pushed tissue",
     "expand": "growing tissue",
-    "free": "released tissue",
+    "free": "freed tissue",
     "slide": "a sliding surface",
 }
 

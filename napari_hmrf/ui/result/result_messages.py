@@ -10,8 +10,8 @@ from napari_hmrf.ui import messages
 
 NO_RESULT = "There is no result yet: pull tissue to get one."
 NO_IMAGE = (
-    "There is no image on the pixel grid of this result. Open the image of the result to deform "
-    "it. The arrows and the choices of 'overlay' are available without the image."
+    "Open the image of this result to deform it: no image is on its pixel grid. The arrows and "
+    "'overlay' need no image."
 )
 BURIED = (
     "This result is one slice, which is hidden inside the volume in the 3D view. Press napari's "

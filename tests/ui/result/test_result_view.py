@@ -755,7 +755,7 @@ def test_a_saved_result_is_displayed_with_and_without_an_image(widget, tmp_path,
     look = widget
     wait_for(lambda: not look.busy)
     look.percent = 50
-    assert look.status.startswith("There is no image on the pixel grid of this result")
+    assert look.status.startswith("Open the image of this result")
     set_to(look, overlay="stiffness")
     assert look.status.startswith("A result file does not contain the input stiffness")
     set_to(look, overlay="magnitude")
@@ -840,7 +840,7 @@ def test_removing_the_arrows_shows_that_they_contain_the_result(look, run, wait_
     viewer_of(look).layers.remove("MR arrows, paper")
     wait_for(lambda: not look.busy)
     told = look.status
-    assert "The result was in the layer 'MR arrows, paper', which was deleted" in told
+    assert "its layer 'MR arrows, paper' was deleted" in told
     assert "press Deform" in told
     assert "untick 'arrows'" in told
     run(look)
