@@ -1,9 +1,10 @@
 """First minute on a new computer: from the first click to the first drag, in a real napari window.
 
-    python -m benchmarks.first_use [--against FOLDER_OF_ANOTHER_CHECKOUT] [--kept] [--whole]
+    python -m benchmarks.first_use [--against FOLDER_OF_ANOTHER_CHECKOUT] [--own] [--kept] [--whole]
 
 A new process with an empty home folder and an empty cache of compiled code opens napari, chooses
-*Brain to pull* from the menu, waits, drags tissue twice, and shows overlays. Another thread posts
+*Brain to pull* from the menu, waits, drags tissue twice, and shows overlays. With `--own`, an image
+is open already, and the dock is chosen from the menu. Another thread posts
 an event to the window every few milliseconds; a freeze is the time that an event waits for its
 answer. During a freeze that thread samples the stack of the GUI thread, so that the table names
 the code that takes the time.
@@ -31,6 +32,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, NamedTuple
 
+import numpy as np
 from qtpy.QtCore import QEvent, QPoint, QPointF, QTimer
 
 from benchmarks.clock import conditions, now, since
@@ -38,6 +40,9 @@ from benchmarks.real_window import Poster, Window
 from benchmarks.table import head, line
 
 _ROOT = Path(__file__).resolve().parent.parent
+# Menus of the first click.
+_SAMPLE = "File", "Open Sample", "napari-hmrf", "Brain to pull"
+_OWN = "Plugins", "Soft tissue (napari-hmrf)"
 #: Overlays that are shown one after the other, by their names in the table.
 _OVERLAYS = {
     "strain": "equivalent",
@@ -61,7 +66,7 @@ import sys
 import benchmarks
 benchmarks.__path__ = [f"{sys.argv[1]}/benchmarks"]
 from benchmarks import first_use
-first_use.work("--whole" in sys.argv)
+first_use.work(sys.argv)
 """
 
 
@@ -149,10 +154,17 @@ class FirstUse(Window):
         self._watchdog.start()
         self.wait(0.5)
 
-    def click_sample(self) -> None:
-        """Choose the sample from the menu, and wait until its tissue can be dragged."""
+    def open_image(self) -> None:
+        """Open an image without tissue."""
+        row, col = np.indices((300, 300))
+        head = np.hypot(row - 150, col - 150) < 130
+        self.viewer.add_image(head * (100.0 + 50 * np.sin(row / 9) * np.sin(col / 7)), name="own")
+        self.wait(1.0)
+
+    def click(self, titles: Sequence[str]) -> None:
+        """Choose an entry of the menus, and wait until tissue can be dragged."""
         action: Any = self.viewer.window._qt_window.menuBar()
-        for title in ("File", "Open Sample", "napari-hmrf", "Brain to pull"):
+        for title in titles:
             menu = action if hasattr(action, "actions") else action.menu()
             menu.aboutToShow.emit() if hasattr(menu, "aboutToShow") else None
             action = next(each for each in menu.actions() if each.text().replace("&", "") == title)
@@ -271,21 +283,23 @@ def _shares(places: Counter[str]) -> list[tuple[str, float]]:
     return [(name, count / total) for name, count in places.most_common(5)]
 
 
-def work(is_whole: bool) -> None:
+def work(options: Sequence[str]) -> None:
     """Use the window for the first time, and print the times, in a child process."""
     window = FirstUse()
-    window.click_sample()
+    if "--own" in options:
+        window.open_image()
+    window.click(_OWN if "--own" in options else _SAMPLE)
     for name in ("first drag", "second drag"):
         window.drag(name)
     for name in _OVERLAYS:
         window.show_overlay(name)
-    if is_whole:
+    if "--whole" in options:
         window.watch_to_the_end()
     print(_ANSWER + json.dumps(window.end()), flush=True)
     os._exit(0)  # skip the shutdown of Qt and its windows
 
 
-def _use(checkout: Path, home: Path, is_whole: bool) -> dict[str, dict[str, Any]]:
+def _use(checkout: Path, home: Path, options: Sequence[str]) -> dict[str, dict[str, Any]]:
     """Return the steps of a process whose home folder is given."""
     environment = {
         name: value
@@ -299,7 +313,7 @@ def _use(checkout: Path, home: Path, is_whole: bool) -> dict[str, dict[str, Any]
         "PYTHONPATH": os.pathsep.join([str(checkout), str(_ROOT)]),
     }
     done = subprocess.run(
-        [sys.executable, "-c", _PROGRAM, str(_ROOT), *(["--whole"] if is_whole else [])],
+        [sys.executable, "-c", _PROGRAM, str(_ROOT), *options],
         cwd=home,
         env=environment,
         stdout=subprocess.PIPE,
@@ -336,16 +350,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--against", type=checkout, metavar="FOLDER", help="another checkout")
+    parser.add_argument("--own", action="store_true", help="open the dock beside an image")
     parser.add_argument("--kept", action="store_true", help="start once more with the same folders")
     parser.add_argument("--whole", action="store_true", help="watch until all is compiled")
     options = parser.parse_args(arguments)
+    given = [f"--{name}" for name in ("own", "whole") if getattr(options, name)]
     print(conditions())
     for folder in filter(None, (_ROOT, options.against)):
         compileall.compile_dir(folder / "napari_hmrf", quiet=2)  # as pip does
         with tempfile.TemporaryDirectory() as home:
-            _print(f"First start of {folder.name}", _use(folder, Path(home), options.whole))
+            _print(f"First start of {folder.name}", _use(folder, Path(home), given))
             if options.kept:
-                _print(f"Next start of {folder.name}", _use(folder, Path(home), options.whole))
+                _print(f"Next start of {folder.name}", _use(folder, Path(home), given))
     return 0
 
 

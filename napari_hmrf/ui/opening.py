@@ -24,6 +24,14 @@ _waiting: list[Any] = []
 _POLL = 10
 
 
+def __getattr__(name: str) -> Any:
+    """Return the class of the dock, for the menu of napari, which asks this module for it."""
+    if name != "SoftTissue":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    load()
+    return importlib.import_module(_DOCK).SoftTissue
+
+
 def is_interactive() -> bool:
     """Return whether the user has caused this call, in a running event loop."""
     return bool(QThread.currentThread().loopLevel() > 0)
@@ -32,9 +40,10 @@ def is_interactive() -> bool:
 def load() -> None:
     """Import what the dock needs on another thread, and paint the window meanwhile.
 
-    Mouse and keyboard are handled afterwards, so that nothing else begins in between.
+    Mouse and keyboard are handled afterwards, so that nothing else begins in between. In a script,
+    there is no window to paint, and nothing is done.
     """
-    if _DOCK in sys.modules:
+    if _DOCK in sys.modules or not is_interactive():
         return
     loop, poll = QEventLoop(), QTimer()
     imports = threading.Thread(target=_import_all, name="napari-hmrf imports", daemon=True)

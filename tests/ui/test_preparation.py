@@ -73,6 +73,11 @@ def test_the_window_is_painted_while_the_dock_is_imported(monkeypatch, tmp_path,
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(opening, "_DOCK", name)
     monkeypatch.setattr(opening, "_HEAVY", (name,))
+    QTimer.singleShot(0, opening.load)
     QTimer.singleShot(0, painted.set)
-    opening.load()
+    qtbot.waitUntil(lambda: painted.is_set() and not _is_importing(), timeout=LONG_MS)
     assert sys.modules.pop(name)
+
+
+def _is_importing():
+    return any(each.name == "napari-hmrf imports" for each in threading.enumerate())
