@@ -229,8 +229,8 @@ class FirstUse(Window):
                 for each in self._watchdog.freezes
                 if found["begun"] <= each.begun + each.wall and each.begun < found["ended"]
             ]
-            longest = max(within, key=lambda each: each.wall)
-            found["freeze"], found["freeze, processor"] = longest.wall, longest.thread
+            found["freeze"] = max(each.wall for each in within)
+            found["freeze, processor"] = max(each.thread for each in within)
             found["all freezes"] = sum(each.wall for each in within if each.wall > _FREEZE)
             found["longest"] = [
                 (each.begun - found["begun"], each.wall, each.thread, _shares(each.places))
@@ -325,7 +325,7 @@ def _use(checkout: Path, home: Path, options: Sequence[str]) -> dict[str, dict[s
     return found
 
 
-_TITLES = ("step", "time", "GUI thread", "longest freeze", "its GUI thread", "all freezes")
+_TITLES = ("step", "time", "GUI thread", "longest freeze", "most GUI thread in one", "all freezes")
 
 
 def _table(steps: dict[str, dict[str, Any]]) -> str:
