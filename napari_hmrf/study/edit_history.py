@@ -105,8 +105,12 @@ class EditHistory:
         return self._now.setdefault(part, value)
 
     def amend(self, part: Hashable, value: Any) -> None:
-        """Set a value without a step, for a change that is not an edit, such as opening a file."""
-        if self._begun is not None and self._begun.part == part:
+        """Set a value without a step, for a change that is not an edit, such as opening a file.
+
+        If the value differs, this ends an edit of the part that is in progress.
+        """
+        is_begun = self._begun is not None and self._begun.part == part
+        if is_begun and value != self._now[part]:
             self.end()
         self._show(part, value, is_edit=False)
 

@@ -252,7 +252,10 @@ class GrowTool(BrushTool):
     key = "E"
     fields = ("radius", "amount", "confidence")
     hint = "Paint a patch or a closed ring that grows."
-    flat_hint = "Turn the mouse wheel over tissue to grow or shrink it."
+    flat_hint = (
+        "Turn the mouse wheel over a tissue of the table, such as a tumour, to grow all of it, or "
+        "over other tissue to grow a disc."
+    )
     action = "expand"
     step = "painted growth"
     takes_wheel = True

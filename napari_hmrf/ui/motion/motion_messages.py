@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import numpy as np
+
+from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Landmark, Mark, Stroke
 from napari_hmrf.tissue.drawing.marks import Action
 
@@ -88,6 +91,13 @@ def grown(amount: float, unit: str, is_pulled: bool = False) -> str:
     still = "" if amount else ": its outline is held in place"
     noun = "displaced tissue" if is_pulled else "tissue"
     return f"This {noun} {way} by {abs(amount):.3g} {unit}{still}."
+
+
+def region_grown(material: Material) -> str:
+    """Return a message about the growth of a labelled region with the mouse wheel."""
+    growth = " / ".join(f"{100 * part:.3g}" for part in np.atleast_1d(material.growth))
+    name = material.name or f"label {material.label}"
+    return f"All of '{name}' grows by {growth} % in length, as in the table of tissues."
 
 
 def pulling(distance: float, unit: str) -> str:

@@ -28,6 +28,7 @@ from napari_hmrf.ui.events import Return, single_shot
 from napari_hmrf.ui.messages import in_short
 from napari_hmrf.ui.motion import motion_messages
 from napari_hmrf.ui.motion.display import Display
+from napari_hmrf.ui.motion.region_growth import RegionGrowth
 from napari_hmrf.ui.motion.tool import Tool, ToolError
 from napari_hmrf.ui.motion.tool_fields import ToolFields
 from napari_hmrf.ui.motion.tools import BY_NAME, TOOLS, tool_of
@@ -114,6 +115,7 @@ class Pointer:
         self._return = Return()
         # Time of the last press of the mouse button, and drawing just after it.
         self._pressed_at, self._pressed = 0.0, Drawing()
+        self._regions = RegionGrowth(self._session)
         undo.message.connect(self._on_step)
         self._session.changed.connect(self._on_drawn)
         fields.changed.connect(self._on_field)
@@ -389,6 +391,12 @@ class Pointer:
         if (other := self.display.covering) is not None:
             self.message.emit(motion_messages.covered(other.name))
             return
+        material = self._regions.material_at(moved, point) if self.tool.takes_wheel else None
+        if material is not None and not self.tool.is_dragging:
+            self._wheel_end.stop()
+            self._wheel_timer.start()
+            self.message.emit(motion_messages.region_grown(self._regions.turn(material, notches)))
+            return
         try:
             has_grown = self.tool.turn_wheel(point, notches, self._fields.settings, moved.origin_of)
         except ToolError as error:
@@ -406,6 +414,7 @@ class Pointer:
         """End the drag of the tool."""
         self._wheel_timer.stop()
         self._wheel_end.stop()
+        self._regions.end()
         self.display.arrows.end_drag()
         self._is_early = False
         was_dragging, message = self.tool.is_dragging, None

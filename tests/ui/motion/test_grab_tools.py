@@ -724,6 +724,38 @@ def test_the_wheel_grows_and_shrinks_tissue_in_one_undo_step(pulling_beside, set
     assert not widget.drawing.marks
 
 
+def test_the_wheel_grows_all_tissue_of_a_label_and_a_disc_of_the_main_tissue(
+    pulling_beside, settle
+):
+    person, widget = pulling_beside
+    rows = Material(1, "brain", 1.0), Material(2, "tumour", 3.0), Material(3, "cyst", 0.0)
+    labels = np.ones((64, 64), np.uint8)
+    labels[24:32, 24:40] = labels[50:54, 50:54] = 2
+    labels[10:14, 10:14] = 3
+    widget.tissue = person.viewer.add_labels(labels, metadata=layer_metadata(TISSUE, rows))
+    widget.tool = "expand"
+    widget.start()
+    settle(widget)
+    for notches in (1, 1, -1, 2):
+        person.turn_wheel(28, 36, notches)
+    assert widget.materials[1].growth == pytest.approx(0.15)
+    assert widget.status == "All of 'tumour' grows by 15 % in length, as in the table of tissues."
+    settle(widget)
+    assert not widget.drawing.marks
+    size = widget.solution.displacement[[24, 31], 28, 0]
+    assert size[1] - size[0] == pytest.approx(0.15 * 7, rel=0.5)
+    assert np.abs(widget.solution.displacement[50:54, 50:54]).max() > 0.05
+    person.turn_wheel(28, 36, -100)
+    assert widget.materials[1].growth == pytest.approx(-0.8), "the tissue vanished"
+    for growth in (0.15, 0):
+        widget.undo()
+        assert widget.materials[1].growth == growth
+    person.turn_wheel(44, 20)
+    assert only(widget).amount > 0
+    assert not any(row.growth for row in widget.materials)
+    settle(widget)
+
+
 def test_turns_of_the_wheel_during_a_long_repaint_are_one_undo_step(
     monkeypatch, open_beside, settle, wait_for
 ):
