@@ -24,12 +24,26 @@ class MovedPictures:
     """
 
     def __init__(self) -> None:
+        # Image, distance of its pixels, and the image at these pixels.
+        self._sparse: tuple[Array, int, Array] | None = None
         # Image without removed tissue, with the image and the mask from which it was computed.
         self._emptied: tuple[Array, Array, Array] | None = None
         self._warper: tuple[Array | None, tuple[Picture, ...], Warper] | None = None
         # For a volume: axis perpendicular to the displayed slices, the image, and the warper.
         self._slicer: tuple[int, Array, Warper] | None = None
         self._preview: VolumePreview | None = None
+
+    def every(self, image: Array | None, pixel: int) -> Array | None:
+        """Return every `pixel`-th pixel of an image along each axis, (H, W) or (H, W, 3 or 4).
+
+        The result is the same array for the same image, so that it is prepared once for `whole`.
+        """
+        known = self._sparse
+        if image is None:
+            return None
+        if known is None or known[0] is not image or known[1] != pixel:
+            known = self._sparse = image, pixel, np.ascontiguousarray(image[::pixel, ::pixel])
+        return known[2]
 
     def whole(
         self, image: Array | None, over: tuple[Picture, ...], solution: Solution | None

@@ -131,9 +131,13 @@ class Preview:
     cut : CutPlane, optional
         For a volume in a 3-D view: visible plane. Without `axis` and `cut`, the whole volume is
         shown on the coarse grid.
+    pixel : int
+        For an image: distance between neighbouring pixels of the picture, in pixels of the image;
+        a divisor of the step of the grid.
     """
 
     grid: CoarseGrid
     axis: int | None = None
     number: int = 0
     cut: CutPlane | None = None
+    pixel: int = 1

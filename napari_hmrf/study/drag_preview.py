@@ -13,9 +13,14 @@ from napari_hmrf.study.study import Study
 
 #: Largest number of sites for a solve of a volume, or of an image in large motion, during a drag.
 PREVIEW_SITES = 100_000
-#: In the large-motion model, images with at most this factor times `PREVIEW_SITES` sites are solved
-#: on the full grid.
-_LARGER = 4
+#: Images with at most this number of sites are solved on the full grid, by model. Larger images are
+#: solved during a drag on a grid with at most as many sites as the second number.
+_IMAGES: dict[str, tuple[int, int]] = {
+    "large motion": (4 * PREVIEW_SITES, PREVIEW_SITES),
+    "elastic": (1_500_000, 4 * PREVIEW_SITES),
+}
+#: Largest number of pixels of a picture that is warped during a drag, in about 0.1 s.
+_PICTURE = 1_500_000
 #: Tolerance during a drag in the large-motion model, in pixels.
 _LARGE_MOTION_TOLERANCE = 0.1
 
@@ -43,9 +48,12 @@ def drag_preview(
         grid = CoarseGrid.of_at_most(PREVIEW_SITES, shape)
         axis, number = (None, 0) if plane is None else plane
         return Preview(grid, axis, number, cut)
-    if study.model_name != "large motion" or math.prod(shape) <= _LARGER * PREVIEW_SITES:
+    largest, sites = _IMAGES.get(study.model_name, (math.inf, 1))
+    if math.prod(shape) <= largest:
         return None
-    return Preview(CoarseGrid.of_at_most(PREVIEW_SITES, shape))
+    pixel = CoarseGrid.of_at_most(_PICTURE, shape).step
+    step = CoarseGrid.of_at_most(sites, shape).step
+    return Preview(CoarseGrid(-(-step // pixel) * pixel), pixel=pixel)
 
 
 def as_dragged(study: Study) -> Study:

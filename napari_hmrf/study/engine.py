@@ -30,6 +30,7 @@ from napari_hmrf.solver.live_solver import Input, Known, LiveSolver, Update, has
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.study.coarse_grid import CoarseGrid, Preview
+from napari_hmrf.study.drag_preview import drag_preview
 from napari_hmrf.study.ground import Ground, Statement
 from napari_hmrf.study.study import Study
 from napari_hmrf.study.study_results import StudyResults
@@ -277,8 +278,12 @@ class Engine:
         image, preview, ground = request.study.pictures.image, request.preview, request.ground
         spacing, every = request.study.grid.spacing, request.grid.step
         if preview is None or len(spacing) == 2:
+            pixel = 1 if preview is None else preview.pixel
             if solution is not None and ground is not None and every > 1:
-                solution = on_finer_grid(solution, ground.stiffness > 0, every)
+                tissue = ground.stiffness[::pixel, ::pixel] > 0
+                solution = on_finer_grid(solution, tissue, every // pixel)
+            if pixel > 1:  # a preview does not change the paint
+                return self._pictures.whole(self._pictures.every(image, pixel), (), solution)
             return self._pictures.whole(image, self._over, solution)
         if image is None:
             return None, ()
@@ -304,10 +309,10 @@ def patience_for(study: Study, preview: Preview | None) -> float:
     """Return how long a solve continues while a newer study is pending, in seconds.
 
     If each solve were cancelled immediately, tissue would not move until the user pauses the drag.
-    The time is 0 for a volume on its full grid, because the solution would be stale before it is
-    displayed.
+    The time is 0 for a volume or a large image on its full grid, because the solution would be
+    stale before it is displayed, and the next drag would wait for it.
     """
-    return 0.0 if preview is None and len(study.grid.shape) == 3 else 3.0
+    return 0.0 if preview is None and drag_preview(study) is not None else 3.0
 
 
 class _StillError(HmrfError):
@@ -338,9 +343,9 @@ class Deformation:
     settled : bool
         True if the study was solved from a cold start, as by `solve_study`.
     preview : Preview, optional
-        Settings of a preview. The `image` of a preview is one slice, (H, W), of a volume, or the
-        whole image. In a 3-D view it is a volume on the coarse grid, or the values, (N,), at the
-        voxels of a cut.
+        Settings of a preview. The `image` of a preview is one slice, (H, W), of a volume, or every
+        `Preview.pixel`-th pixel of the image. In a 3-D view it is a volume on the coarse grid, or
+        the values, (N,), at the voxels of a cut.
     is_earlier : bool
         True for an earlier result of the study, which is delivered again. If also `settled` is
         True, the budget ended the solve from a cold start.

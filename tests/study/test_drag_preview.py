@@ -24,11 +24,24 @@ def test_a_volume_is_solved_on_a_grid_of_limited_size_for_the_visible_slice():
 
 @pytest.mark.parametrize(
     ("size", "model", "step"),
-    [(2000, "elastic", None), (600, "large motion", None), (700, "large motion", 3)],
+    [
+        (1200, "elastic", None),
+        (2000, "elastic", 4),
+        (2000, "paper", None),
+        (600, "large motion", None),
+        (700, "large motion", 3),
+    ],
 )
-def test_only_large_images_in_large_motion_are_solved_on_a_coarse_grid(size, model, step):
+def test_only_large_images_are_solved_on_a_coarse_grid(size, model, step):
     preview = drag_preview(a_study((size, size), model))
     assert (None if preview is None else preview.grid.step) == step
+
+
+def test_the_picture_of_a_large_image_has_pixels_between_those_of_the_image_and_of_the_grid():
+    preview = drag_preview(a_study((4000, 4000)))
+    assert preview.pixel == 4
+    assert preview.grid.step == 8
+    assert drag_preview(a_study((700, 700), "large motion")).pixel == 1
 
 
 def test_a_drag_loosens_the_tolerance_and_keeps_other_settings():

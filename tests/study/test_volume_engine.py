@@ -164,7 +164,15 @@ def test_a_preview_without_prescribed_motion_has_no_error():
     assert still.error is None
 
 
-def test_the_coarse_preview_of_large_motion_approximates_the_final_image():
+@pytest.mark.parametrize(
+    ("model", "preview"),
+    [
+        ("large motion", Preview(CoarseGrid(3))),
+        ("elastic", Preview(CoarseGrid(3))),
+        ("elastic", Preview(CoarseGrid(4), pixel=2)),
+    ],
+)
+def test_the_coarse_preview_of_an_image_approximates_the_final_image(model, preview):
     shape = (60, 80)
     rows, cols = np.indices(shape)
     smooth = (127 + 120 * np.sin(rows / 7) * np.cos(cols / 9)).astype(np.uint8)
@@ -172,18 +180,19 @@ def test_the_coarse_preview_of_large_motion_approximates_the_final_image():
         Grid(shape, (0.5, 0.5), "mm"),
         Tissue(stiffness=np.ones(shape)),
         Motion(hold_edge=True, drawing=Drawing((Arrow((30, 40), (0.0, 4.0), 4),))),
-        model="large motion",
+        model=model,
         pictures=Pictures(image=smooth),
     )
-    preview, whole = results_of((study, Preview(CoarseGrid(3))), (study, None))
-    assert preview.error is None
-    assert preview.solution.displacement.shape == (20, 27, 2)
-    assert preview.image.shape == whole.image.shape == shape
+    coarse, whole = results_of((study, preview), (study, None))
+    assert coarse.error is None
+    assert whole.image.shape == shape
+    every = (slice(None, None, preview.pixel),) * 2
     apart, moved = (
-        np.abs(each.astype(int) - whole.image).mean() for each in (preview.image, smooth)
+        np.abs(each.astype(int) - whole.image[every]).mean()
+        for each in (coarse.image, smooth[every])
     )
-    assert apart < 0.15 * moved
-    assert preview.moved_positions(np.array([(30.0, 40.0)]))[0] == pytest.approx((30, 48), abs=0.1)
+    assert apart < 0.2 * moved
+    assert coarse.moved_positions(np.array([(30.0, 40.0)]))[0] == pytest.approx((30, 48), abs=0.1)
 
 
 def test_a_preview_weighs_an_uncertain_landmark_like_the_full_grid():

@@ -185,10 +185,11 @@ class Display:
     def _picture_of(self, moved: Deformation) -> Any:
         """Return the deformed image.
 
-        In a volume, a preview replaces only one slice or cut, or it is the whole coarse volume.
+        In a volume, a preview replaces only one slice or cut, or it is the whole coarse volume. The
+        preview of a large image has fewer, larger pixels.
         """
         preview = moved.preview
-        if _is_coarse_volume(moved):
+        if _pixel_of(moved) > 1:
             return moved.image
         if preview is None or (preview.axis is None and preview.cut is None):
             self._whole, self._is_copy = moved.image, False
@@ -346,17 +347,18 @@ class Display:
             self.quiet = before
 
 
-def _is_coarse_volume(moved: Deformation) -> bool:
-    """Return whether the image is a whole volume on the coarse grid of a preview."""
+def _pixel_of(moved: Deformation) -> int:
+    """Return the distance of neighbouring pixels of the deformed image, in pixels of the image."""
     preview = moved.preview
-    is_volume = len(moved.study.grid.shape) == 3
-    return is_volume and preview is not None and preview.axis is None and preview.cut is None
+    if preview is None or preview.axis is not None or preview.cut is not None:
+        return 1
+    return preview.pixel if len(moved.study.grid.shape) == 2 else preview.grid.step
 
 
 def _spread(made: LayerData, moved: Deformation) -> LayerData:
-    """Return the layer of a coarse volume with voxels as far apart as the sites of its grid."""
-    if not _is_coarse_volume(moved):
+    """Return the layer of a coarse picture with pixels as far apart as in the image."""
+    if (pixel := _pixel_of(moved)) == 1:
         return made
     scale, plane = np.array(made.attributes["scale"]), moved.study.grid.known_place.plane
-    scale[list(plane)] *= moved.grid.step
+    scale[list(plane)] *= pixel
     return made._replace(attributes={**made.attributes, "scale": scale})

@@ -10,6 +10,7 @@ from scipy import ndimage
 from napari_hmrf.layers.compat import drawn_node, text_of
 from napari_hmrf.layers.label_colours import DRAWN
 from napari_hmrf.layers.metadata import METADATA, TISSUE, layer_metadata
+from napari_hmrf.study import drag_preview
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.tissue.drawing import Arrow, Drawing
 from tests.support.docks import dock_in
@@ -186,6 +187,27 @@ def test_a_pull_at_the_fixed_edge_reports_folds_and_their_cause(pulling_beside, 
     person.drag((30, 30), (30, 33))
     settle(widget)
     assert not widget.warning
+
+
+def test_a_large_image_has_larger_pixels_during_a_drag(pulling_beside, settle, monkeypatch):
+    person, widget = pulling_beside
+    monkeypatch.setattr(drag_preview, "_IMAGES", {"elastic": (0, 500)})
+    monkeypatch.setattr(drag_preview, "_PICTURE", 1100)
+    picture = by_name(person.viewer, "MR deformed, elastic")
+    before, extent = picture.data, picture.extent.world
+    person.press(30, 30)
+    for col in (33, 36):
+        person.move(30, col)
+        settle(widget)
+        assert picture.data.shape == (32, 32)
+        assert picture.scale == pytest.approx((2, 2))
+        assert np.abs(picture.extent.world - extent).max() <= 1
+        assert (picture.data != before[::2, ::2]).mean() > 0.05
+    person.release(30, 36)
+    settle(widget)
+    assert picture.data.shape == (64, 64)
+    assert picture.scale == pytest.approx((1, 1))
+    assert widget.solution.displacement[30, 30] == pytest.approx((0, 6), abs=0.02)
 
 
 def test_escape_cancels_a_drag(pulling_beside):
