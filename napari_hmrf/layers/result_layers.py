@@ -537,10 +537,7 @@ def _solution_to_keep(moved: Deformation, ground: Ground) -> Solution:
     """Return the solution without air and with records of the drawing and the tissue."""
     study, solution = moved.study, moved.solution
     assert solution is not None
-    body = solution.tissue & ground.body
-    if not np.array_equal(body, solution.tissue):
-        field = np.where(body[..., None], solution.displacement, np.float32(0))
-        solution = replace(solution, displacement=field, tissue=body)
+    solution = ground.without_air(solution)
     if study.motion.drawing.marks:
         solution = replace(solution, frame={"drawing": study.motion.drawing.as_dict()})
     if study.tissue.record or study.tissue.stiffness_unit:

@@ -241,8 +241,9 @@ class Engine:
         if update.final and error is None:
             self.report(DRAWING)
         if solution is not None or isinstance(error, _StillError):
-            if solution is not None and self._counts_folds:
-                request = replace(request, folds=solution.count_folds())
+            if solution is not None and request.ground is not None and self._counts_folds:
+                folds = request.ground.without_air(solution).count_folds()
+                request = replace(request, folds=folds)
             answer = self._moved_by(solution, request)
             if answer.error is None:
                 self.latest = answer

@@ -350,6 +350,14 @@ class Ground:
             labels = self.base.labels
         return tuple(rows_without_effect(self.study, labels, statement.problem.stiffness > 0))
 
+    def without_air(self, solution: Solution) -> Solution:
+        """Return a solution of the study whose tissue and displacement do not include air."""
+        body = solution.tissue & self.body
+        if np.array_equal(body, solution.tissue):
+            return solution
+        field = np.where(body[..., None], solution.displacement, np.float32(0))
+        return replace(solution, displacement=field, tissue=body)
+
     def notes_on(self, statement: Statement) -> tuple[str, ...]:
         """Return clauses for the user about the interpretation of a problem."""
         motion, problem = self.study.motion, statement.problem

@@ -1,6 +1,5 @@
 """Engine with coarse previews: a slice of a volume or an image, then the full result."""
 
-import threading
 from dataclasses import replace
 
 import numpy as np
@@ -32,18 +31,13 @@ def a_study(*marks):
 
 def results_of(*asked):
     """Return the results of an engine for pairs of a study and a preview or None."""
-    found, there = [], threading.Event()
-
-    def deliver(moved):
-        found.append(moved)
-        there.set()
-
-    engine = Engine(deliver, "a test")
+    delivered, found = [], []
+    engine = Engine(delivered.append, "a test")
     try:
         for study, preview in asked:
             engine.submit(study, preview=preview)
-            assert there.wait(60)
-            there.clear()
+            assert engine.live.wait(60)
+            found.append(delivered[-1])
     finally:
         engine.close()
     return found

@@ -69,7 +69,7 @@ def test_other_models_name_the_tissue_that_slides(dock, wait_for):
 
 
 def test_large_motion_of_sliding_tissue_is_offered_for_its_folds(dock, wait_for):
-    offer = dock._form.footer.other
+    offer, dock.unfolds = dock._form.footer.other, False
     dock.drawing = Drawing((Arrow((20, 24), (9, 0), 2), Arrow((30, 24), (-9, 0), 2)))
     wait_for(lambda: not dock.busy)
     assert "the tissue folds" in dock.warning

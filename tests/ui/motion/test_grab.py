@@ -178,6 +178,7 @@ def test_a_click_beside_the_fixed_edge_moves_no_tissue(pulling_beside, settle):
 
 def test_a_pull_at_the_fixed_edge_reports_folds_and_their_cause(pulling_beside, settle):
     person, widget = pulling_beside
+    widget.unfolds = False
     person.drag((3, 30), (3, 42))
     settle(widget)
     assert "folds: show" in Screen(widget).button("⚠").text()
