@@ -31,7 +31,7 @@ from napari_hmrf.layers.viewer_layers import (
     still_there,
 )
 from napari_hmrf.layers.viewer_undo import undo_of
-from napari_hmrf.results.animation import MARKS
+from napari_hmrf.results.animation import FOLD_MARKS
 from napari_hmrf.study.session import DisplayChoice, Session
 
 #: Kind of the layer that shows painted confidence.
@@ -426,7 +426,7 @@ class Result:
         """Return the index for a new layer: lines on top, and pictures above their source."""
         layers = self._viewer.layers
         # Marks, such as folds, are also on top, because lines would often cover them.
-        if made.kind == "vectors" or _kind_of(made) in MARKS:
+        if made.kind == "vectors" or _kind_of(made) == FOLD_MARKS:
             return len(layers)
         if part in (PAINTED, CONFIDENCE):  # below the lines on the image
             lowest = self._layers.above(self.layer("image"), self.anchor())

@@ -33,8 +33,7 @@ from napari_hmrf.notes import kind_of
 from napari_hmrf.posterior import Uncertainty
 from napari_hmrf.posterior.study_uncertainty import ground_uncertainty
 from napari_hmrf.results.animation import (
-    MARKS,
-    Mark,
+    FOLD_MARKS,
     Motion,
     fullest_planes,
     marked_sites,
@@ -65,8 +64,8 @@ ARROWS = 250
 #: Name of an overlay.
 Name = (
     Quantity
-    | Mark
-    | Literal["grid", "labels", "difference", "uncertainty", "stiffness", "observed", "confidence"]
+    | Literal["folds", "grid", "labels", "difference", "uncertainty"]
+    | Literal["stiffness", "observed", "confidence"]
 )
 #: Number of arrows of the observed motion along a side of the image.
 _ACROSS = 40
@@ -186,16 +185,15 @@ class Outputs:
         Number of sites at which the tissue folds over itself (Jacobian determinant <= 0).
     overlaps : int
         Number of pixels at which different parts of the tissue overlap; 0 if no pictures are given.
-    fullest : dict of mark to tuple of int
-        For folds and overlaps: index of the plane perpendicular to each axis with the largest
-        number of marked pixels.
+    fullest : tuple of int
+        Index of the plane perpendicular to each axis with most folds and overlaps.
     """
 
     solution: Solution
     layers: dict[Kind, LayerData]
     folds: int
     overlaps: int = 0
-    fullest: Mapping[Mark, tuple[int, ...]] = field(default_factory=dict)
+    fullest: tuple[int, ...] = ()
 
 
 def result_layers(
@@ -234,7 +232,7 @@ def result_layers(
     solution = replace(solution, frame={**(solution.frame or {}), **frame.as_dict()})
     checkpoint()
     folded = smallest_determinant(solution.displacement, **solution.on_grid) <= 0
-    fullest: dict[Mark, tuple[int, ...]] = {"folds": fullest_planes(moved_marks(solution, folded))}
+    marks = moved_marks(solution, folded).astype(bool)
     shown = pictures or Pictures()
     digests = solution.provenance.inputs
     for name in digests:
@@ -250,7 +248,7 @@ def result_layers(
         origin, covered, overlapping = inverse_map_and_overlaps(
             solution.displacement, **solution.on_grid
         )
-        overlaps, fullest["overlaps"] = int(overlapping.sum()), fullest_planes(overlapping)
+        overlaps, marks = int(overlapping.sum()), marks | overlapping
         if (image := pictures.image) is not None:
             checkpoint()
             fill = emptiness(image, solution.tissue.ndim)
@@ -259,7 +257,7 @@ def result_layers(
             layers["image"] = answer.layer("image", moved, "deformed", pictures.look)
     checkpoint()
     layers["arrows"] = _arrow_layer(answer)
-    return Outputs(solution, layers, int(folded.sum()), overlaps, fullest)
+    return Outputs(solution, layers, int(folded.sum()), overlaps, fullest_planes(marks))
 
 
 def _arrow_layer(answer: PlacedSolution) -> LayerData:
@@ -437,8 +435,8 @@ def _pixels_of(
         shown = coloured(answer.solution, name)
         legend = f"{title} ({unit or answer.unit}{shown.unit_note})"
         return shown.values, legend, _colours(shown)
-    if name in MARKS:
-        sites = marked_sites(answer.solution, name)
+    if name == FOLD_MARKS:
+        sites = marked_sites(answer.solution)
         return (sites, name, label_colours.mark_look(), "labels") if sites.any() else None
     if name == "labels" and pictures.labels is not None:
         look, source = pictures.labels_look, pictures.labels_name

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -23,9 +23,8 @@ from napari_hmrf.results.quantities import (
 )
 from napari_hmrf.solver.solution import Solution
 
-#: Kinds of sites that can be marked: folded sites, and sites that overlap other tissue.
-Mark = Literal["folds", "overlaps"]
-MARKS: tuple[Mark, ...] = get_args(Mark)
+#: Name of the overlay that marks the sites at which tissue folds or overlaps other tissue.
+FOLD_MARKS: Literal["folds"] = "folds"
 #: Number of grid lines that cross the longer side of an image.
 _LINES = 30
 #: Size limit, in bytes, of the cache of computed moments.
@@ -213,25 +212,21 @@ def moved_marks(
     return moved
 
 
-def marked_sites(solution: Solution, mark: Mark) -> npt.NDArray[np.bool_]:
+def marked_sites(solution: Solution) -> npt.NDArray[np.bool_]:
     """Return a mask of the sites at which tissue folds or overlaps other tissue.
 
     Parameters
     ----------
     solution : Solution
-    mark : {"folds", "overlaps"}
 
     Returns
     -------
     ndarray of bool, shape ([D,] H, W)
         Marked sites before the motion.
     """
-    tissue = solution.tissue
-    if mark == "folds":
-        return fold_mask(solution.displacement, **solution.on_grid)
+    found = fold_mask(solution.displacement, **solution.on_grid)
     *_, overlaps = inverse_map_and_overlaps(solution.displacement, **solution.on_grid)
-    sites, places = _moved_sites(solution, tissue)
-    found = np.zeros(tissue.shape, bool)
+    sites, places = _moved_sites(solution, solution.tissue)
     found[tuple(sites[overlaps[tuple(places.T)]].T)] = True
     return found
 

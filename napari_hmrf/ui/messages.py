@@ -12,7 +12,7 @@ from napari_hmrf.field.units import as_seen, unit_symbol
 from napari_hmrf.layers.result_layers import CompleteResult, Outputs
 from napari_hmrf.notes import Note, kind_of, short_of
 from napari_hmrf.real_arrays import sites_in_words
-from napari_hmrf.results.animation import MARKS, Mark
+from napari_hmrf.results.animation import FOLD_MARKS
 from napari_hmrf.solver import live_solver
 from napari_hmrf.solver.caveats import LOOSE
 from napari_hmrf.solver.drift import drift_clauses
@@ -123,7 +123,7 @@ ABOUT_OFFERS = {
 PLANES: dict[Plane, str] = {"stress": "free to bulge", "strain": "held at its faces"}
 #: Prefixes of progress messages that are shown to the user unchanged.
 _SHOWN = ("waiting for", "drawing the", "sample")
-_WARNINGS: dict[Mark, str] = {
+_WARNINGS = {
     "folds": "the tissue folds over itself, which real tissue cannot do. Move the tissue less; far "
     "from held tissue, a wider patch or boundary also helps.",
     "overlaps": "one part of the tissue has moved onto another part and hides it. The model does "
@@ -191,11 +191,11 @@ def warnings_of(done: CompleteResult, overlay: str) -> tuple[str, str]:
     if "folds" in counts and uncertain_landmarks(done.moved.study.motion.drawing):
         parts.append(_UNSURE_FOLDS)
     parts += map(_sentence, done.notes)
-    if (mark := next_mark(done.outputs, overlay)) is not None:
-        return " ".join(parts), f"{counts[mark]} {mark}: show"
-    if overlay in counts:
-        return " ".join(parts), f"Hide the {overlay}"
-    return " ".join(parts), _label(short_of(done.notes[0])) if done.notes else ""
+    if not counts:
+        return " ".join(parts), _label(short_of(done.notes[0])) if done.notes else ""
+    word = next(iter(counts))
+    label = f"Hide the {word}" if overlay == FOLD_MARKS else f"{sum(counts.values())} {word}: show"
+    return " ".join(parts), label
 
 
 def offer_of(done: CompleteResult | None, model: ModelChoice) -> str:
@@ -214,9 +214,9 @@ def offer_of(done: CompleteResult | None, model: ModelChoice) -> str:
     return OFFER if "folds" in marks_of(done.outputs) and can_unfold(study) else ""
 
 
-def marks_of(outputs: Outputs) -> dict[Mark, int]:
-    """Count the sites of each mark, and omit marks that are only noise."""
-    return {mark: number for mark in MARKS if (number := getattr(outputs, mark)) > HANDFUL}
+def marks_of(outputs: Outputs) -> dict[str, int]:
+    """Count the folds and the overlaps, and omit those that are only noise."""
+    return {mark: number for mark in _WARNINGS if (number := getattr(outputs, mark)) > HANDFUL}
 
 
 def unheld_warning(notes: Sequence[str]) -> str:
@@ -231,12 +231,6 @@ def _sentence(clause: str) -> str:
 def _label(clause: str) -> str:
     words = in_window_words(clause)
     return f"{words[0].upper()}{words[1:]}"
-
-
-def next_mark(outputs: Outputs, overlay: str) -> Mark | None:
-    """Return the mark to show after an overlay: folds, then overlaps, then None."""
-    marks = [*marks_of(outputs)]
-    return next(iter(marks[marks.index(overlay) + 1 :] if overlay in marks else marks), None)
 
 
 def in_short(error: Exception) -> str:

@@ -9,7 +9,7 @@ from psygnal import Signal
 from napari_hmrf.layers.metadata import metadata_of
 from napari_hmrf.layers.result_layers import CompleteResult
 from napari_hmrf.layers.slice_view import plane_shown, view_of
-from napari_hmrf.results.animation import MARKS, Mark
+from napari_hmrf.results.animation import FOLD_MARKS
 from napari_hmrf.study.models import larger_budget
 from napari_hmrf.study.session import Session
 from napari_hmrf.ui import messages
@@ -40,7 +40,7 @@ class WarningChip:
     def overlay(self) -> str:
         """Chosen overlay, or `NOTHING` if its marks are not visible."""
         chosen = self._session.display.overlay
-        if chosen not in MARKS:
+        if chosen != FOLD_MARKS:
             return chosen
         marks = (each for each in self._viewer.layers if metadata_of(each).get("kind") == chosen)
         return chosen if any(each.visible for each in marks) else NOTHING
@@ -57,22 +57,17 @@ class WarningChip:
             self._session.use_elastic()
 
     def _on_chip(self) -> None:
-        """Emit the warning, and show the next mark: folds, then overlaps, then no mark."""
+        """Emit the warning, and show or hide the marks of folds and overlaps."""
         latest, slice_message = self._session.result_here, ""
-        choose = self._session.choose_display
-        chosen = self._session.display.overlay
-        shown = self.overlay
-        mark = None if latest is None else messages.next_mark(latest.outputs, shown)
-        if latest is not None and mark is not None:
-            if chosen == mark:  # the marks are hidden
-                choose(overlay=NOTHING)
-            choose(overlay=mark)
-            slice_message = self._go_to_most(latest, mark)
-        elif chosen in MARKS:
-            choose(overlay=NOTHING)
+        is_shown = self.overlay == FOLD_MARKS
+        if self._session.display.overlay == FOLD_MARKS:  # the marks may be hidden
+            self._session.choose_display(overlay=NOTHING)
+        if latest is not None and messages.marks_of(latest.outputs) and not is_shown:
+            self._session.choose_display(overlay=FOLD_MARKS)
+            slice_message = self._go_to_most(latest)
         self.message.emit(f"{self._form.footer.warning} {slice_message}".rstrip())
 
-    def _go_to_most(self, latest: CompleteResult, mark: Mark) -> str:
+    def _go_to_most(self, latest: CompleteResult) -> str:
         """Show the slice of a volume with the most marked sites, and return a message."""
         dims, place, view = (
             self._viewer.dims,
@@ -82,7 +77,7 @@ class WarningChip:
         if len(place.plane) == 2 or dims.ndisplay == 3:
             return ""
         across, _ = plane_shown(place, view)
-        plane = place.plane_at(across, latest.outputs.fullest[mark][across])
+        plane = place.plane_at(across, latest.outputs.fullest[across])
         point = view.point_at(plane, plane.index)
         dims.set_point([*point], [*point.values()])
         return messages.MOST.format(plane.slice_seen)

@@ -152,7 +152,7 @@ def test_a_solution_reports_no_folds_and_little_strain_at_a_long_slip(slipped, t
         assert abs(row.size_change) < 0.5
     outputs = result_layers(slipped, pictures=Pictures(np.ones(slipped.tissue.shape)))
     assert (outputs.folds, outputs.overlaps) == (0, 0)
-    assert not marked_sites(slipped, "folds").any()
+    assert not marked_sites(slipped).any()
     assert abs(area_change(slipped) - 1).max() < 0.05
     assert abs(values_of(slipped, "equivalent", 0.5)).max() < 5  # per cent
     assert count_folds(FieldFile.of(slipped).displacement, spacing=1, parts=slipped.parts) == 0

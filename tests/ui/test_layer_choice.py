@@ -186,12 +186,12 @@ def test_overlapping_tissue_is_reported_and_marked(widget, small_sample, run, se
     assert "at 64 pixels one part of the tissue has moved onto another" in widget.warning
     Screen(widget).press("⚠  64 overlaps: show")
     settle(widget)
-    (rows, cols) = np.nonzero(viewer_of(widget).layers["MR overlaps, paper"].data)
+    (rows, cols) = np.nonzero(viewer_of(widget).layers["MR folds, paper"].data)
     assert len(rows) == 64
     assert {*cols} == {7, 8, 9, 10}
     widget.percent = 0
     settle(widget)
-    (_, cols) = np.nonzero(viewer_of(widget).layers["MR overlaps, paper"].data)
+    (_, cols) = np.nonzero(viewer_of(widget).layers["MR folds, paper"].data)
     assert {*cols} == {7, 8, 9, 10, 13, 14, 15, 16, 17}, (
         "the marks before the motion do not show both parts"
     )
@@ -200,10 +200,10 @@ def test_overlapping_tissue_is_reported_and_marked(widget, small_sample, run, se
     assert run(widget).overlaps == 0
     assert "onto another" not in widget.warning
     settle(widget)
-    assert "MR overlaps, paper" not in viewer_of(widget).layers
+    assert "MR folds, paper" not in viewer_of(widget).layers
 
 
-def test_the_warning_button_shows_folds_then_overlaps_then_neither(
+def test_the_warning_button_shows_folds_and_overlaps_together_and_then_neither(
     widget, small_sample, run, settle
 ):
     _, tissue, boundary = small_sample(viewer_of(widget))
@@ -214,12 +214,8 @@ def test_the_warning_button_shows_folds_then_overlaps_then_neither(
     rules = (BoundaryRule(2, "move", vector=(0.0, -6.5)), BoundaryRule(3, "move", vector=(0, 3)))
     widget.rules = (widget.rules[0], *rules)
     outputs = run(widget)
-    words = (
-        f"{outputs.folds} folds: show",
-        f"{outputs.overlaps} overlaps: show",
-        "Hide the overlaps",
-    )
-    for said, shown in zip(words * 2, ("folds", "overlaps", "nothing") * 2, strict=True):
+    words = f"{outputs.folds + outputs.overlaps} folds: show", "Hide the folds"
+    for said, shown in zip(words * 2, ("folds", "nothing") * 2, strict=True):
         Screen(widget).press(f"⚠  {said}")
         settle(widget)
         assert widget.overlay == shown

@@ -21,7 +21,7 @@ from napari_hmrf.layers.result_layers import Overlay, PlacedSolution
 from napari_hmrf.layers.thick_marks import half_widths, thickened
 from napari_hmrf.layers.viewer_layers import layers_of
 from napari_hmrf.posterior import Uncertainty
-from napari_hmrf.results.animation import MARKS, Moment, Motion
+from napari_hmrf.results.animation import FOLD_MARKS, Moment, Motion
 from napari_hmrf.results.comparison import Comparison
 from napari_hmrf.results.tissue_point import Points
 from napari_hmrf.ui.events import repeating
@@ -127,7 +127,7 @@ class MovingLayers:
     @property
     def has_marks(self) -> bool:
         """True if the overlay marks single sites."""
-        return self.overlay is not None and self.overlay.name in MARKS
+        return self.overlay is not None and self.overlay.name == FOLD_MARKS
 
     def refresh_marks(self) -> None:
         """Adapt the marks to the zoom at 100 %; at other percentages, the next picture does."""

@@ -44,8 +44,7 @@ _ABOUT: dict[Name, str] = {
     "labels": "tissue labels",
     "difference": "difference from known field ({unit})",
     "uncertainty": "uncertainty ({unit})",
-    "folds": "folds",
-    "overlaps": "overlaps",
+    "folds": "folds and overlaps",
     "stiffness": "input: stiffness",
     "observed": "input: motion",
     "confidence": "input: confidence",
@@ -54,8 +53,7 @@ _ABOUT: dict[Name, str] = {
 LACKING: dict[Name, str] = {
     "labels": "This result has no tissue labels.",
     **dict.fromkeys(("von_mises", "pressure"), "Stress needs the elastic model or large motion."),
-    "folds": "The tissue does not fold.",
-    "overlaps": "No part of the tissue has moved onto another part.",
+    "folds": "The tissue does not fold, and no part of it has moved onto another part.",
     **dict.fromkeys(("stiffness", "observed", "confidence"), messages.FROM_A_FILE),
 }
 OVERLAY_TIP = (
