@@ -304,6 +304,7 @@ def test_a_reopened_dock_continues_with_results_tables_and_edits_made_meanwhile(
     first = without_live_mode(frame.open())
     run(first)
     first.overlay = "magnitude"
+    first.unfolds = False
     first.drawing = Drawing().with_mark(Arrow((30, 20), (0, 30), 4))
     run(first)
     settle(first)
@@ -411,6 +412,7 @@ def test_an_overlay_that_was_switched_off_shows_no_earlier_result(folding, run, 
 def folded(pulling_beside, settle):
     """Return a simulated user and the dock after a pull that folds the tissue."""
     person, widget = pulling_beside
+    widget.unfolds = False
     widget.drawing = Drawing().with_mark(Arrow((30, 20), (0, 30), 4))
     settle(widget)
     assert "folds" in widget.warning
