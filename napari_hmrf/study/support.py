@@ -14,6 +14,8 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.compute.compile_cache.loops import are_compiled
+from napari_hmrf.compute.compile_cache.sets import LARGE_IMAGES, LARGE_VOLUMES
 from napari_hmrf.errors import LayerError, ProblemError
 from napari_hmrf.solver.model_names import ELASTIC, ModelName
 from napari_hmrf.solver.optimizers import Optimizer
@@ -236,8 +238,14 @@ def can_unfold(study: Study) -> bool:
 
 
 def unfolds_quickly(study: Study) -> bool:
-    """Return whether large motion may take the place of the elastic model without a question."""
-    return math.prod(study.grid.shape) <= _MOST_SITES[len(study.grid.shape)] and can_unfold(study)
+    """Return whether large motion may take the place of the elastic model without a question.
+
+    On a new computer, it must be prepared: the user would wait for a picture otherwise.
+    """
+    shape = study.grid.shape
+    is_small = math.prod(shape) <= _MOST_SITES[len(shape)]
+    is_prepared = are_compiled(LARGE_VOLUMES if len(shape) == 3 else LARGE_IMAGES)
+    return is_small and is_prepared and can_unfold(study)
 
 
 def supports(model: ModelName, analysis: Analysis) -> bool:

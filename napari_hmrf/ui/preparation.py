@@ -69,7 +69,7 @@ def needed_sets(study: Study, *, has_pair: bool) -> list[str]:
     """
     grid = study.grid
     volume = sets.VOLUMES, sets.LARGE_VOLUMES
-    flat = "elastic", sets.PICTURES, "slipping", "rigid", "large-motion"
+    flat = "elastic", sets.PICTURES, "slipping", "rigid", sets.LARGE_IMAGES
     about = grid.shape, grid.spacing, study.prior, study.optimizer
     chosen = SolveJob(*about).loops
     pair = [SolveJob(*about, has_data=True).loops] if has_pair else []

@@ -9,6 +9,7 @@ from qtpy.QtWidgets import QPushButton, QTableWidget
 from napari_hmrf import Arrow, Cavity, Drawing, Landmark, NeoHookeanPrior, Stroke
 from napari_hmrf.layers.metadata import BOUNDARY, TISSUE, layer_metadata
 from napari_hmrf.solver.optimizers import work
+from napari_hmrf.study import support
 from napari_hmrf.tissue.boundary_rules import BoundaryRule, Material
 from tests.support.long_work import long_work
 from tests.support.screen import Screen
@@ -111,6 +112,20 @@ def test_large_motion_takes_over_by_itself_where_elastic_tissue_folds(dock, do_a
         do_and_wait(dock.undo)
         assert dock.model == model
     assert dock.materials[1].growth == pytest.approx(0.2), "growth and model are one step"
+
+
+def test_elastic_folds_are_shown_until_large_motion_is_prepared(dock, do_and_wait, monkeypatch):
+    prepared = set()
+    monkeypatch.setattr(support, "are_compiled", lambda job: job in prepared)
+    grows = Screen(dock).cell("tumour", "grows")
+    folded = do_and_wait(grows.write, "150")
+    assert dock.model == "elastic"
+    assert folded.count_folds() > 5
+    assert offers(dock, "Use large motion")
+    prepared.add("large-motion")
+    mended = do_and_wait(grows.write, "140")
+    assert dock.model == "large motion"
+    assert mended.count_folds() == 0
 
 
 def test_large_motion_takes_over_in_a_volume_but_not_in_a_study_from_a_file(

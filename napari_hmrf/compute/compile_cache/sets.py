@@ -14,8 +14,8 @@ EVERYTHING = ""
 PICTURES = "pictures"
 #: Loops that solve elastic volumes.
 VOLUMES = "volume"
-#: Loops that solve volumes in large motion.
-LARGE_VOLUMES = "volume-large-motion"
+#: Loops that solve images and volumes in large motion.
+LARGE_IMAGES, LARGE_VOLUMES = "large-motion", "volume-large-motion"
 #: Loops for a quadratic data term in an image, as registration has.
 DATA = "data"
 #: Same in a volume.
@@ -47,7 +47,7 @@ COSTS = {
     PICTURES: Cost(5, 8.1),
     "slipping": Cost(2, 1.5),
     "rigid": Cost(4, 1.7),
-    "large-motion": Cost(12, 16.6),
+    LARGE_IMAGES: Cost(12, 16.6),
     DATA: Cost(11, 16.0),
     VOLUMES: Cost(19, 27.9),
     LARGE_VOLUMES: Cost(16, 40.4),

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Protocol
 from napari_hmrf.compute.compile_cache.sets import (
     DATA,
     LARGE_DATA,
+    LARGE_IMAGES,
     LARGE_VOLUME_DATA,
     LARGE_VOLUMES,
     VOLUME_DATA,
@@ -95,7 +96,7 @@ class SolveJob:
         if self.has_large_motion and self.has_data:
             return LARGE_VOLUME_DATA if self.is_volume else LARGE_DATA
         if self.has_large_motion:
-            return LARGE_VOLUMES if self.is_volume else "large-motion"
+            return LARGE_VOLUMES if self.is_volume else LARGE_IMAGES
         if self.has_data or self.has_sliding_parts:
             return VOLUME_DATA if self.is_volume else DATA
         if isinstance(self.prior, ElasticPrior):
