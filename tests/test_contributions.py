@@ -119,7 +119,7 @@ def test_a_sample_gives_the_problem_of_its_phantom(opened, drawn):
 
 
 def test_the_pair_has_two_images_and_tissue_that_does_not_grow_yet():
-    after, before, tissue = (Layer.create(*data) for data in sample_pair())
+    before, tissue, after = (Layer.create(*data) for data in sample_pair())
     assert (before.name, after.name) == ("Before", "After")
     assert before.data.shape == after.data.shape == tissue.data.shape
     assert not any(row.grows for row in rows_of(tissue, "tissue"))

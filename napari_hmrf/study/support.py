@@ -240,12 +240,14 @@ def can_unfold(study: Study) -> bool:
 def unfolds_quickly(study: Study) -> bool:
     """Return whether large motion may take the place of the elastic model without a question.
 
-    On a new computer, it must be prepared: the user would wait for a picture otherwise.
+    On a new computer, it must be prepared: the user would wait for a picture otherwise. Tissue that
+    slides along other tissue takes minutes.
     """
     shape = study.grid.shape
     is_small = math.prod(shape) <= _MOST_SITES[len(shape)]
     is_prepared = are_compiled(LARGE_VOLUMES if len(shape) == 3 else LARGE_IMAGES)
-    return is_small and is_prepared and can_unfold(study)
+    slides = any(row.slides for row in study.tissue.materials)
+    return is_small and is_prepared and not slides and can_unfold(study)
 
 
 def supports(model: ModelName, analysis: Analysis) -> bool:

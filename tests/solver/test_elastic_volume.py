@@ -360,7 +360,7 @@ def test_the_error_of_a_weakly_constrained_volume_is_estimated_by_rehearsal():
         optimizer=Multigrid(0.01),
         progress=lambda m: heard.append(m.message),
     )
-    assert any(message.startswith("rehearsal") for message in heard)
+    assert any(message.startswith("check of the accuracy") for message in heard)
     exact = solve(problem, optimizer=Multigrid(1e-5), initial=found)
     assert np.abs(found.displacement - exact.displacement).max() <= found.convergence.error
 
@@ -492,7 +492,7 @@ def test_a_volume_beyond_single_precision_is_iterated_in_double_precision():
     found = solve(problem, optimizer=PRECISE, progress=lambda m: heard.append(m.message))
     assert error_in_voxels(found, problem, 0.45) <= found.convergence.error <= PRECISE.tolerance
     assert found.convergence.way == "cycles"
-    assert sum(message.startswith("rehearsal") for message in heard) > 40
+    assert sum(message.startswith("check of the accuracy") for message in heard) > 40
 
 
 @pytest.mark.usefixtures("without_factors")

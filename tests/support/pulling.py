@@ -15,6 +15,8 @@ def pull(widget, settle):
 def pull_volume(person, widget, settle, *, depth=None, ndisplay=2):
     """Deform the whole volume, show it in a slice or a 3-D view, and activate *Pull*.
 
+    The model stays elastic, although the small patches of the tests fold tissue.
+
     Parameters
     ----------
     person : Person or Touch
@@ -29,6 +31,7 @@ def pull_volume(person, widget, settle, *, depth=None, ndisplay=2):
     dims = person.viewer.dims
     if depth is not None:
         dims.set_point(0, depth)
+    widget.unfolds = False
     Screen(widget).choose("the whole volume")
     dims.ndisplay = ndisplay
     settle(widget)

@@ -989,7 +989,7 @@ def test_a_message_says_that_a_surface_painted_inside_tissue_keeps_its_place(
     for row, is_inside in ((30, True), (0, False)):
         touch.paint((row, 20), (row, 40))
         settle(widget)
-        assert widget.status.startswith("There is tissue on both sides") is is_inside
+        assert widget.status.startswith("To let tissue slide along this surface") is is_inside
 
 
 def test_changing_the_slice_during_a_stroke_ends_the_stroke(open_beside, settle):

@@ -148,6 +148,7 @@ def test_further_fields_are_visible_on_request_or_with_another_value(pulling_bes
 
 def test_the_advice_about_folds_names_the_uncertainty_of_landmarks(pulling_beside, settle):
     touch, dock = pulling_beside
+    dock.unfolds = False
     Screen(dock).press("Landmark")
     touch.drag((30, 30), (50, 30))
     settle(dock)

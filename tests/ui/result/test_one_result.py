@@ -602,13 +602,13 @@ def test_the_status_bar_is_not_changed_without_a_pointer_on_the_canvas(
     assert person.viewer.status == "Brain"
 
 
-def test_a_status_of_any_length_has_two_lines_and_its_tooltip_has_all_of_it(pointer_and_dock):
+def test_a_status_of_any_length_has_three_lines_and_its_tooltip_has_all_of_it(pointer_and_dock):
     _, dock = pointer_and_dock
     footer = dock._form.footer
     label = footer._status
     for count in (1, 40, 5):
         footer.show_status("\n".join(["word"] * count))
-        assert round(label.height() / label.fontMetrics().lineSpacing()) == 2
+        assert round(label.height() / label.fontMetrics().lineSpacing()) == 3
         assert footer._status.is_elided == (count == 40)
         assert label.toolTip().count("word") == count, (
             "the tool tip does not contain the whole status"
