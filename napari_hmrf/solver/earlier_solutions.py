@@ -13,6 +13,10 @@ from napari_hmrf.solver.solution import Solution
 KEPT = 4
 
 
+# Smallest Jacobian determinant of a solution that is used as a warm start for large motion.
+_CRUSHED = 0.01
+
+
 class EarlierSolutions:
     """Most recent solutions on one grid, for different observations and loads.
 
@@ -43,6 +47,25 @@ class EarlierSolutions:
         if not self.solutions and grid == (problem.shape, tuple(problem.spacing)):
             self.solutions = [solution]
 
+    def starts(self, problem: Problem, *, large_motion: bool) -> list[Solution]:
+        """Return the solutions from which a problem is solved.
+
+        For other observations, tissue that is crushed, or that was on its way when a solve was
+        stopped, takes longer than a cold start; in large motion, so does elastic tissue, which may
+        be almost folded.
+
+        Parameters
+        ----------
+        problem : Problem
+        large_motion : bool
+            True to solve the problem in large motion.
+        """
+        latest = self._latest_problem
+        same = self.solutions[:1] if latest and _same_observations(latest, problem) else []
+        others = self.solutions[len(same) :]
+        same = [each for each in same if each.reach is not None or not large_motion]
+        return [*same, *(each for each in others if _leads_far(each, large_motion))]
+
     def add(self, problem: Problem, solution: Solution) -> None:
         """Store a solution; it replaces the latest solution if both have the same observations."""
         before, self._latest_problem = self._latest_problem, problem
@@ -51,6 +74,14 @@ class EarlierSolutions:
         known = solution.displacement
         others = [each for each in self.solutions if each.displacement is not known]
         self.solutions = [solution, *others][:KEPT]
+
+
+def _leads_far(solution: Solution, large_motion: bool) -> bool:
+    """Return whether a solution is a good start for other observations."""
+    reach = solution.reach
+    if reach is None:
+        return not large_motion
+    return not reach.stopped and reach.least_jacobian >= _CRUSHED
 
 
 def _same_observations(one: Problem, other: Problem) -> bool:

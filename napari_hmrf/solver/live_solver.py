@@ -36,9 +36,6 @@ PICTURE_INTERVAL = 0.5
 PATIENCE = 0.1
 # Time of a cold start per site on two cores, in seconds.
 _SITE_SECONDS = 2e-7
-# Smallest Jacobian determinant of a solution that is used as a warm start for large motion.
-_CRUSHED = 0.01
-
 _log = logging.getLogger("napari_hmrf")
 
 
@@ -367,8 +364,8 @@ class LiveSolver:
         """Solve with a warm start and store the solution for the next solve."""
         if progress is not None:
             progress.begin(preview=is_preview)
-        earlier = self._earlier.solutions if isinstance(optimizer, Multigrid) else ()
-        initial = [solution for solution in earlier if not _is_crushed(solution)] or None
+        is_large = isinstance(prior, NeoHookeanPrior)
+        earlier = self._earlier.starts(problem, large_motion=is_large)
         solution = solve(
             problem,
             prior,
@@ -376,7 +373,7 @@ class LiveSolver:
             backend=backend,
             progress=progress,
             cancel=stop,
-            initial=initial,
+            initial=(earlier or None) if isinstance(optimizer, Multigrid) else None,
         )
         self._earlier.add(problem, solution)
         return solution
@@ -422,12 +419,6 @@ def _has_preview(optimizer: Optimizer) -> TypeGuard[Multigrid]:
 def has_stopped(solution: Solution) -> bool:
     """Return whether the budget ended a solve."""
     return solution.reach is not None and solution.reach.stopped
-
-
-def _is_crushed(solution: Solution) -> bool:
-    """Return whether tissue is so crushed that a cold start is faster than a warm start."""
-    reach = solution.reach
-    return reach is not None and not reach.stopped and reach.least_jacobian < _CRUSHED
 
 
 class _Edit(NamedTuple):

@@ -476,9 +476,15 @@ class Session(EditHistory):
         self.setdefault(self.model_part, ModelChoice())
         self.join(self.model_part, replace(self.model, name="large motion"))
 
-    def take_back_unfolding(self) -> None:
-        """Choose the elastic model as part of the last edit, which large motion cannot solve."""
-        self.join(self.model_part, replace(self.model, name="elastic", unfolds=False))
+    def take_back_unfolding(self, *, unfolds: bool) -> None:
+        """Choose the elastic model again as part of the last edit.
+
+        Parameters
+        ----------
+        unfolds : bool
+            True if large motion may take its place again; False if it cannot solve the study.
+        """
+        self.join(self.model_part, replace(self.model, name="elastic", unfolds=unfolds))
 
     def use_elastic(self) -> None:
         """Choose the elastic model although tissue folds."""
@@ -656,6 +662,8 @@ class Session(EditHistory):
 
     def remove(self, layer: Hashable) -> None:
         """Drop the parts of a removed layer, and remove the layer from all choices."""
+        if layer is self.choice.compare_with:
+            self.choose_display(in_colours=False)
         if layer is self.image:
             self.select(None, is_gone=True)
         self.results.pop(layer, None)

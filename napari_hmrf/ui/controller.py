@@ -103,6 +103,8 @@ class Controller:
         self._failure = self._report = self._last_message = ""
         # Reason why large motion does not solve the current study, until the next report.
         self._taken_back = ""
+        # True until a report says that large motion has taken the place of the elastic model.
+        self._is_new_model = False
         self._refresh_timer = single_shot(native, 0, self.refresh)
         self._complete_timer = single_shot(native, _REST, self.complete)
         self.progress = SolveProgress(
@@ -337,6 +339,7 @@ class Controller:
     def _unfold(self, moved: Deformation) -> None:
         """Choose large motion, because the elastic tissue of an answer folds, and solve again."""
         self.session.unfold()
+        self._is_new_model = True
         if moved.settled:
             self.solve_cold()
         else:
@@ -348,7 +351,7 @@ class Controller:
 
     def _take_back(self, error: Exception) -> None:
         """Choose the elastic model again, because large motion cannot solve the study."""
-        self.session.take_back_unfolding()
+        self.session.take_back_unfolding(unfolds=False)
         self._taken_back = messages.ELASTIC_AGAIN.format(messages.in_short(error))
 
     def _on_answer(self, moved: Deformation) -> None:
@@ -376,6 +379,8 @@ class Controller:
             return
         self.deformation_changed.emit(moved)
         if moved.solution is None:
+            if self._has_taken_over(moved.study):
+                self.session.take_back_unfolding(unfolds=True)
             self._clear_result()
             self._end_settling()
         self._complete_timer.start(0 if moved.settled else _REST)
@@ -390,7 +395,8 @@ class Controller:
             return
         self.session.results[self.session.slice.layer] = done
         solution = done.outputs.solution
-        unfolded = self._has_taken_over(done.moved.study)
+        unfolded = self._is_new_model and self._has_taken_over(done.moved.study)
+        self._is_new_model = False
         report = messages.report(done, unfolded=unfolded)
         is_special = bool(self._taken_back) or unfolded
         self._report, self._taken_back = f"{report} {self._taken_back}".rstrip(), ""

@@ -136,6 +136,8 @@ _UNSURE_FOLDS = (
 )
 #: Message after the view has moved to another slice of a volume.
 MOST = "The view has moved to the slice with the most such voxels: {}."
+# Smallest part of a motion that is told of tissue that stays short of its target.
+_SOME_PART = 0.01
 #: Largest number of marked sites that counts as rounding noise and causes no warning.
 HANDFUL = 5
 
@@ -175,9 +177,9 @@ def _short_of_target(reach: Reach | None, unit: str) -> str:
     if reach is None or reach.where is None:
         return ""
     remedy = f"press '{CONTINUE}'" if reach.stopped else "see the warning"
+    way = f", after {reach.part:.0%} of its way" if reach.part >= _SOME_PART else ""
     return (
-        f" Some tissue stays up to {reach.missing:.3g} {unit} short of its target, after "
-        f"{reach.part:.0%} of the way: {remedy}."
+        f" Some tissue stays up to {reach.missing:.3g} {unit} short of its target{way}: {remedy}."
     )
 
 

@@ -128,6 +128,18 @@ def test_elastic_folds_are_shown_until_large_motion_is_prepared(dock, do_and_wai
     assert mended.count_folds() == 0
 
 
+def test_the_elastic_model_returns_when_nothing_moves_any_more(dock, do_and_wait):
+    far, near = (Drawing((Arrow((12, 12), (0.0, by), 5.0),)) for by in (11.0, 0.5))
+    do_and_wait(setattr, dock, "drawing", far)
+    assert dock.model == "large motion"
+    do_and_wait(dock.clear)
+    assert dock.model == "elastic"
+    do_and_wait(setattr, dock, "drawing", near)
+    assert dock.solution.provenance.model == "elastic"
+    do_and_wait(setattr, dock, "drawing", far)
+    assert dock.solution.provenance.model == "large motion"
+
+
 def test_large_motion_takes_over_in_a_volume_but_not_in_a_study_from_a_file(
     frame, wait_for, tmp_path
 ):
@@ -308,7 +320,7 @@ def test_a_warning_reports_motion_that_the_large_motion_model_could_not_apply(
     assert isinstance(dock.study.prior, NeoHookeanPrior)
     assert solution.reach.missing > 0.1
     assert "stay short" in dock.warning
-    assert "of the way: see the warning" in dock.status
+    assert "of its way: see the warning" in dock.status
 
 
 def test_large_motion_is_solved_once_the_sliding_surface_is_removed(dock, do_and_wait):

@@ -74,6 +74,9 @@ _HALVING_LIMIT = 12
 _PULL_LIMIT = 150
 #: Largest number of Newton steps before a run fails.
 _STEP_LIMIT = 400
+#: Work, in cycles, after which a pull ends if it has not reduced the distance left to this part.
+_STALLED_WORK = 400.0
+_STALLED_PART = 0.75
 #: Fraction of the work after which tissue is not pulled any further.
 _PULL_WORK = 0.8
 #: Fraction of `Work.measure` after which a new initial field is tried if the tissue is still
@@ -316,6 +319,8 @@ class Newton:
         self.ran_out = False
         self.by_factors = strategy.by_factors
         self._first = 0.0
+        # Distance from the targets, in pixels, and work when it was last reduced by a part.
+        self._pace_of_pull = math.inf, 0.0
         # Number of steps up to the last pull.
         self._pulled = 0
         # False once a prescribed position is known to be out of reach.
@@ -352,11 +357,13 @@ class Newton:
         self._tolerance, self._is_converged = tolerance, True
         y, pace = np.where(held, y, d), _Pace()
         self._first, self._pulled = float(np.abs(y - d).max()), len(self.energies)
+        self._pace_of_pull = math.inf, self._work.spent
         for number in range(self._strategy.steps):
             if self._is_slow(d, y, held) and self._restarts(d, y, held):
                 pace.restart()
-            if number == _PULL_LIMIT or self._is_late(_PULL_WORK):
-                self._stop_pulling(d, y, held, number)
+            late = self._is_late(_PULL_WORK)
+            if late or number == _PULL_LIMIT or self._is_stalled(_largest(y - d, held)):
+                self._stop_pulling(d, y, held, ran_out=late)
             after = self._advance(number, d, y, held, pace)
             if after is _After.ARRIVED:
                 return
@@ -368,12 +375,23 @@ class Newton:
         if not math.isfinite(estimate) or (must_settle and estimate > _CREEP_DISTANCE):
             self._fail()
 
-    def _stop_pulling(self, d: Planes, y: Planes, held: HeldPlanes, number: int) -> None:
+    def _is_stalled(self, left: float) -> bool:
+        """Return whether tissue hardly moves towards its target any more, for much work.
+
+        Tissue can be crushed further almost without end, which moves its target only a little.
+        """
+        before, spent = self._pace_of_pull
+        if left <= _STALLED_PART * before:
+            self._pace_of_pull = left, self._work.spent
+            return False
+        return left > 0 and self._work.spent - spent > _STALLED_WORK
+
+    def _stop_pulling(self, d: Planes, y: Planes, held: HeldPlanes, *, ran_out: bool) -> None:
         """Leave the constrained components where they are: `y` becomes `d`, in place."""
         if (held & (y != d)).any():
             np.copyto(y, d)
             self._is_converged = False
-            self.ran_out = self.ran_out or number != _PULL_LIMIT
+            self.ran_out = self.ran_out or ran_out
 
     def _advance(self, number: int, d: Planes, y: Planes, held: HeldPlanes, pace: _Pace) -> _After:
         """Make a Newton step, in place: pull the tissue towards `y`, or relax it."""
