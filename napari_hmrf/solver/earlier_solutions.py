@@ -32,6 +32,7 @@ class EarlierSolutions:
     def __init__(self) -> None:
         self.solutions: list[Solution] = []
         self._latest_problem: Problem | None = None
+        self._begun: tuple[Problem, Solution] | None = None
         self._key: tuple[object, ...] = ()
 
     def keep_for(self, problem: Problem, series: object) -> None:
@@ -39,7 +40,7 @@ class EarlierSolutions:
         key = (problem.shape, problem.spacing, series)
         if key != self._key:
             self._key = key
-            self.solutions, self._latest_problem = [], None
+            self.solutions, self._latest_problem, self._begun = [], None, None
 
     def begin_with(self, solution: Solution, problem: Problem) -> None:
         """Store a solution from a file, if it has the grid of a problem and is the first."""
@@ -50,9 +51,8 @@ class EarlierSolutions:
     def starts(self, problem: Problem, *, large_motion: bool) -> list[Solution]:
         """Return the solutions from which a problem is solved.
 
-        For other observations, tissue that is crushed, or that was on its way when a solve was
-        stopped, takes longer than a cold start; in large motion, so does elastic tissue, which may
-        be almost folded.
+        In large motion, a start from elastic tissue, which may be almost folded, or from crushed
+        tissue takes longer than a cold start, except for the same observations.
 
         Parameters
         ----------
@@ -60,15 +60,26 @@ class EarlierSolutions:
         large_motion : bool
             True to solve the problem in large motion.
         """
+        begun = self._begun
+        if begun is not None and _same_observations(begun[0], problem):
+            return [begun[1]]
+        if not large_motion:
+            return [each for each in self.solutions if not _is_crushed(each)]
         latest = self._latest_problem
-        same = self.solutions[:1] if latest and _same_observations(latest, problem) else []
-        others = self.solutions[len(same) :]
-        same = [each for each in same if each.reach is not None or not large_motion]
-        return [*same, *(each for each in others if _leads_far(each, large_motion))]
+        is_same = latest is not None and _same_observations(latest, problem)
+        return [
+            each
+            for number, each in enumerate(self.solutions)
+            if each.reach is not None and ((is_same and number == 0) or not _is_crushed(each))
+        ]
+
+    def begin(self, problem: Problem, solution: Solution) -> None:
+        """Store a solution on its way, from which only a solve of the same problem starts."""
+        self._begun = problem, solution
 
     def add(self, problem: Problem, solution: Solution) -> None:
         """Store a solution; it replaces the latest solution if both have the same observations."""
-        before, self._latest_problem = self._latest_problem, problem
+        before, self._latest_problem, self._begun = self._latest_problem, problem, None
         if before is not None and _same_observations(before, problem):
             del self.solutions[0]
         known = solution.displacement
@@ -76,12 +87,10 @@ class EarlierSolutions:
         self.solutions = [solution, *others][:KEPT]
 
 
-def _leads_far(solution: Solution, large_motion: bool) -> bool:
-    """Return whether a solution is a good start for other observations."""
+def _is_crushed(solution: Solution) -> bool:
+    """Return whether tissue is so crushed that a cold start is faster than a warm start."""
     reach = solution.reach
-    if reach is None:
-        return not large_motion
-    return not reach.stopped and reach.least_jacobian >= _CRUSHED
+    return reach is not None and not reach.stopped and reach.least_jacobian < _CRUSHED
 
 
 def _same_observations(one: Problem, other: Problem) -> bool:

@@ -344,7 +344,7 @@ class LiveSolver:
                 report(monitor)
             if monitor.so_far is not None and time.perf_counter() - shown > PICTURE_INTERVAL:
                 preview = monitor.so_far()
-                self._earlier.add(problem, preview)
+                self._earlier.begin(problem, preview)
                 self._deliver_preview(turn, problem, preview)
                 shown = time.perf_counter()
 

@@ -129,7 +129,7 @@ def test_elastic_folds_are_shown_until_large_motion_is_prepared(dock, do_and_wai
 
 
 def test_the_elastic_model_returns_when_nothing_moves_any_more(dock, do_and_wait):
-    far, near = (Drawing((Arrow((12, 12), (0.0, by), 5.0),)) for by in (11.0, 0.5))
+    far, near = (Drawing((Arrow((20, 10), (0.0, by), 4.0),)) for by in (16.0, 0.5))
     do_and_wait(setattr, dock, "drawing", far)
     assert dock.model == "large motion"
     do_and_wait(dock.clear)

@@ -74,8 +74,9 @@ _HALVING_LIMIT = 12
 _PULL_LIMIT = 150
 #: Largest number of Newton steps before a run fails.
 _STEP_LIMIT = 400
-#: Work, in cycles, after which a pull ends if it has not reduced the distance left to this part.
-_STALLED_WORK = 400.0
+#: Work, as a part of `Work.measure`, after which a pull ends if it has not reduced the distance
+#: left to `_STALLED_PART`.
+_STALLED_WORK = 2.0
 _STALLED_PART = 0.75
 #: Fraction of the work after which tissue is not pulled any further.
 _PULL_WORK = 0.8
@@ -384,7 +385,7 @@ class Newton:
         if left <= _STALLED_PART * before:
             self._pace_of_pull = left, self._work.spent
             return False
-        return left > 0 and self._work.spent - spent > _STALLED_WORK
+        return left > 0 and self._work.spent - spent > _STALLED_WORK * self._work.measure
 
     def _stop_pulling(self, d: Planes, y: Planes, held: HeldPlanes, *, ran_out: bool) -> None:
         """Leave the constrained components where they are: `y` becomes `d`, in place."""

@@ -379,7 +379,7 @@ def test_a_missing_quantity_is_reported_and_adds_no_layer(look, set_to):
     before = names(viewer)
     set_to(look, overlay="jacobian")
     set_to(look, overlay="folds")
-    assert look.status == "The tissue does not fold."
+    assert look.status == "The tissue does not fold, and no part of it has moved onto another part."
     assert names(viewer) == before
 
 
