@@ -21,8 +21,6 @@ _IMAGES: dict[str, tuple[int, int]] = {
 }
 #: Largest number of pixels of a picture that is warped during a drag, in about 0.1 s.
 _PICTURE = 1_500_000
-#: Tolerance during a drag in the large-motion model, in pixels.
-_LARGE_MOTION_TOLERANCE = 0.1
 
 
 def drag_preview(
@@ -57,10 +55,13 @@ def drag_preview(
 
 
 def as_dragged(study: Study) -> Study:
-    """Return the study with the tolerance for a drag; the resulting error is not visible."""
+    """Return the study with the tolerance for a drag; the resulting error is not visible.
+
+    Most of the work of large motion is the way to the targets, whatever the tolerance, so that its
+    last solve of a drag is the result.
+    """
     optimizer = study.optimizer
-    if not isinstance(optimizer, Multigrid):
+    if not isinstance(optimizer, Multigrid) or study.model_name == "large motion":
         return study
-    tolerance = _LARGE_MOTION_TOLERANCE if study.model_name == "large motion" else TOLERANCE
-    tolerance = max(tolerance, optimizer.tolerance)
+    tolerance = max(TOLERANCE, optimizer.tolerance)
     return replace(study, optimizer=replace(optimizer, tolerance=tolerance))
