@@ -317,8 +317,8 @@ def landmarks() -> None:
     for source, target in zip(sources, targets, strict=True):
         window.drag(source, target)
     window.keep("tutorials/images/landmarks-pairs")
-    window.show(form.clear)
-    window.click(form.clear)
+    window.dock.clear()
+    window.settle()
     layers = []
     for pixels in (sources, targets):
         window.menu("File", "New Layer", "Points")
@@ -326,7 +326,7 @@ def landmarks() -> None:
         window.key(Qt.Key.Key_2)
         for pixel in pixels:
             window.drag(pixel)
-    choice = form.boundary.landmarks
+    choice = form.landmarks
     window.take("landmark")
     window.click(choice.take_button)  # both layers are chosen already
     window.keep("tutorials/images/landmarks-points")
