@@ -203,6 +203,7 @@ class FixedText(QLabel):
 
     def __init__(self, lines: int = 1) -> None:
         super().__init__()
+        self._text = ""
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self.limit(lines)
 
@@ -214,8 +215,11 @@ class FixedText(QLabel):
     @property
     def value(self) -> str:
         """The text."""
-        text: str = self.text()
-        return text
+        return self._text
+
+    def text(self) -> str:
+        """Return the text, which is not that of the label: that would lay out the window anew."""
+        return self._text
 
     @property
     def is_elided(self) -> bool:
@@ -224,7 +228,10 @@ class FixedText(QLabel):
 
     def show_text(self, sentence: str, details: str = "") -> None:
         """Show a text, with the text or its details in the tooltip."""
-        self.setText(sentence)
+        if sentence != self._text:
+            self._text = sentence
+            self.setAccessibleName(sentence)
+            self.update()
         self.setToolTip(details or sentence)
 
     def _fit(self) -> None:

@@ -237,9 +237,13 @@ class Pointer:
         self.message.emit(motion_messages.REMOVED_ALL)
 
     def draw(self) -> None:
-        """Show the current drawing."""
+        """Show the current drawing, and the distance of a drag."""
         self._draw_timer.stop()
         self._show_drawing()
+        moved, by = self.display.moved, self.tool.pulled
+        if moved is not None and by is not None and any(by):
+            far = as_seen(math.hypot(*by), moved.study.grid.spacing)
+            self.pulled.emit(motion_messages.pulling(far, self._fields.unit))
         self.changed.emit()
 
     def show(self, moved: Deformation) -> None:
@@ -364,13 +368,8 @@ class Pointer:
         if self._is_early:
             self._early_drags[-1].points.append(point)
             return
-        before = self.drawing
         self.tool.move(point)
         self._show_stroke(at_once=False)
-        moved, by = self.display.moved, self.tool.pulled
-        if moved is not None and by is not None and self.drawing is not before:
-            far = as_seen(math.hypot(*by), moved.study.grid.spacing)
-            self.pulled.emit(motion_messages.pulling(far, self._fields.unit))
 
     def takes_wheel_at(self, point: Point | None = None) -> bool:
         """Return whether the tool uses the mouse wheel at a point on tissue, or anywhere."""

@@ -116,6 +116,7 @@ def test_the_wheel_and_the_keys_move_dragged_tissue_in_depth(beside, settle):
     person, widget = beside
     person.press(*MIDDLE)
     person.wheel(2)
+    settle(widget)
     assert "Pulling 2 px" in Screen(widget).words
     person.key(Qt.Key.Key_Down)
     person.move(MIDDLE[0], 12.5, 13.5)

@@ -117,6 +117,7 @@ def test_the_distance_of_a_drag_is_shown_until_its_result_is_drawn(open_beside, 
     person.press(15, 15)
     assert "Pulling" not in screen.words
     person.move(15, 16)
+    settle(widget)
     assert "Pulling 1 mm" in screen.words
     person.move(16.5, 17)
     settle(widget)
@@ -126,6 +127,7 @@ def test_the_distance_of_a_drag_is_shown_until_its_result_is_drawn(open_beside, 
     assert "100 %: tissue moved up to 2.5 mm" in screen.words
     person.press(16.5, 17)
     person.move(18, 19)
+    settle(widget)
     assert "Pulling 5 mm" in screen.words
     assert "moved up to" not in screen.words
     person.key(Qt.Key.Key_Escape)
