@@ -149,6 +149,7 @@ def test_large_motion_takes_over_in_a_volume_but_not_in_a_study_from_a_file(
     table = layer_metadata(TISSUE, (BRAIN, Material(2, "tumour", 10.0, growth=1.2)))
     viewer.add_labels(np.where(ball, 2, 1), name="Tissue", metadata=table)
     dock = frame.open()
+    dock.settings = replace(dock.settings, budget=20.0)
     dock.image, dock.extent, dock.tissue = viewer.layers[0], "volume", viewer.layers[1]
     wait_for(lambda: not dock.busy)
     assert dock.solution.provenance.model == "large motion"

@@ -1,5 +1,7 @@
 """Tests of tissue that slides along other tissue, in the dock."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from napari.layers import Layer
@@ -79,7 +81,7 @@ def test_large_motion_of_sliding_tissue_is_offered_for_its_folds(dock, wait_for)
     assert dock.solution.parts is not None
     assert "the tissue folds" in dock.warning
     assert not offer.isHidden()
-    dock.model = "large motion"
+    dock.settings, dock.model = replace(dock.settings, budget=20.0), "large motion"
     wait_for(lambda: not dock.busy)
     assert dock.solution.parts is not None
     assert dock.solution.reach.least_jacobian > 0
