@@ -32,7 +32,7 @@ class EarlierSolutions:
     def __init__(self) -> None:
         self.solutions: list[Solution] = []
         self._latest_problem: Problem | None = None
-        self._begun: tuple[Problem, Solution] | None = None
+        self._on_its_way: tuple[Problem, Solution] | None = None
         self._key: tuple[object, ...] = ()
 
     def keep_for(self, problem: Problem, series: object) -> None:
@@ -40,7 +40,7 @@ class EarlierSolutions:
         key = (problem.shape, problem.spacing, series)
         if key != self._key:
             self._key = key
-            self.solutions, self._latest_problem, self._begun = [], None, None
+            self.solutions, self._latest_problem, self._on_its_way = [], None, None
 
     def begin_with(self, solution: Solution, problem: Problem) -> None:
         """Store a solution from a file, if it has the grid of a problem and is the first."""
@@ -60,7 +60,7 @@ class EarlierSolutions:
         large_motion : bool
             True to solve the problem in large motion.
         """
-        begun = self._begun
+        begun = self._on_its_way
         if begun is not None and _same_observations(begun[0], problem):
             return [begun[1]]
         if not large_motion:
@@ -73,13 +73,13 @@ class EarlierSolutions:
             if each.reach is not None and ((is_same and number == 0) or not _is_crushed(each))
         ]
 
-    def begin(self, problem: Problem, solution: Solution) -> None:
+    def keep_on_its_way(self, problem: Problem, solution: Solution) -> None:
         """Store a solution on its way, from which only a solve of the same problem starts."""
-        self._begun = problem, solution
+        self._on_its_way = problem, solution
 
     def add(self, problem: Problem, solution: Solution) -> None:
         """Store a solution; it replaces the latest solution if both have the same observations."""
-        before, self._latest_problem, self._begun = self._latest_problem, problem, None
+        before, self._latest_problem, self._on_its_way = self._latest_problem, problem, None
         if before is not None and _same_observations(before, problem):
             del self.solutions[0]
         known = solution.displacement

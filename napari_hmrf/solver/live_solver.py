@@ -314,7 +314,9 @@ class LiveSolver:
             progress = None if report is None else StagedProgress(report)
             solved = partial(self._solve, problem, prior, edit.backend, progress, stop=turn)
             if edit.preview and self._takes_preview(problem, prior, edit.optimizer):
-                self._deliver_preview(turn, problem, solved(Multigrid(PREVIEW_TOLERANCE), True))
+                self._deliver_preview(
+                    turn, problem, solved(Multigrid(PREVIEW_TOLERANCE), is_preview=True)
+                )
             solution = solved(edit.optimizer)
             best = solution if known is None else nearest_to_targets(solution, known.solution)
             if known is not None and best is not solution:
@@ -344,7 +346,7 @@ class LiveSolver:
                 report(monitor)
             if monitor.so_far is not None and time.perf_counter() - shown > PICTURE_INTERVAL:
                 preview = monitor.so_far()
-                self._earlier.begin(problem, preview)
+                self._earlier.keep_on_its_way(problem, preview)
                 self._deliver_preview(turn, problem, preview)
                 shown = time.perf_counter()
 
@@ -357,15 +359,17 @@ class LiveSolver:
         backend: str,
         progress: StagedProgress | None,
         optimizer: Optimizer,
-        is_preview: bool = False,
         *,
         stop: CancelFlag,
+        is_preview: bool = False,
     ) -> Solution:
         """Solve with a warm start and store the solution for the next solve."""
         if progress is not None:
             progress.begin(preview=is_preview)
-        is_large = isinstance(prior, NeoHookeanPrior)
-        earlier = self._earlier.starts(problem, large_motion=is_large)
+        initial: list[Solution] = []
+        if isinstance(optimizer, Multigrid):
+            is_large = isinstance(prior, NeoHookeanPrior)
+            initial = self._earlier.starts(problem, large_motion=is_large)
         solution = solve(
             problem,
             prior,
@@ -373,7 +377,7 @@ class LiveSolver:
             backend=backend,
             progress=progress,
             cancel=stop,
-            initial=(earlier or None) if isinstance(optimizer, Multigrid) else None,
+            initial=initial or None,
         )
         self._earlier.add(problem, solution)
         return solution

@@ -20,7 +20,7 @@ from qtpy.QtWidgets import (
 from napari_hmrf.compute.compile_cache.stage import Progress
 from napari_hmrf.layers.viewer_undo import ViewerUndo
 from napari_hmrf.ui.forms import ElidedButton, FixedText, row
-from napari_hmrf.ui.messages import DEFORM
+from napari_hmrf.ui.messages import ABOUT_PRECISELY, DEFORM
 
 #: Number of lines of the status.
 _LINES = 3
@@ -83,11 +83,7 @@ class Footer(QWidget):
 
     def __init__(self, result: Container, files: Container, tools: str = "") -> None:
         super().__init__()
-        self.deform = PushButton(
-            text=DEFORM,
-            tooltip="Compute the motion of the tissue from scratch, to the tolerance. If this "
-            "stops before the tissue is fully there, the earlier result is kept.",
-        )
+        self.deform = PushButton(text=DEFORM, tooltip=ABOUT_PRECISELY)
         self.cancel = PushButton(text="Cancel", tooltip="Stop computing; nothing is changed")
         policy = self.cancel.native.sizePolicy()
         policy.setRetainSizeWhenHidden(True)

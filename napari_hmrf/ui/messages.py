@@ -26,6 +26,11 @@ from napari_hmrf.ui.window_words import in_window_words
 
 #: Labels of the button and of the menu entry that solve from a cold start, without and with *Live*.
 DEFORM, PRECISELY = "Deform", "Solve precisely"
+#: Tooltip of both.
+ABOUT_PRECISELY = (
+    "Compute the motion of the tissue from scratch, to the tolerance. If this stops before the "
+    "tissue is fully there, the earlier result is kept."
+)
 #: The button or entry in a message; see `with_button`.
 BUTTON = "[Deform]"
 #: Kinds of messages: tissue does not move, and a file was saved.

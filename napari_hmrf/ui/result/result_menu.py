@@ -31,7 +31,7 @@ from napari_hmrf.solver.elastic_strain import strain_note
 from napari_hmrf.tissue.drawing import Landmark
 from napari_hmrf.ui.forms import add_entry, attempt, give_menu
 from napari_hmrf.ui.jobs import Jobs
-from napari_hmrf.ui.messages import PRECISELY
+from napari_hmrf.ui.messages import ABOUT_PRECISELY, PRECISELY
 from napari_hmrf.ui.result.landmark_table import LandmarkRows, LandmarkTable
 from napari_hmrf.ui.result.moving_layers import MovingLayers
 from napari_hmrf.ui.result.result_form import ResultForm
@@ -61,10 +61,6 @@ _FILM = (
 _PICTURES = (
     "Figures as PNG files in a new folder: displacement, before and after, grid, area change, "
     "strain and energy. To save the canvas, use File > Save Screenshot."
-)
-_PRECISE = (
-    "Compute the motion of the tissue from scratch, to the tolerance. If this stops before the "
-    "tissue is fully there, the earlier result is kept."
 )
 _WITH_IT = (
     "New layer, moved with the tissue. In a volume at the same position, only the slice of this "
@@ -315,7 +311,7 @@ class ResultMenu:
             entry.setEnabled(has_bars or save != self.save_uncertainty)
         add_entry(menu, "Save pictures ...", _PICTURES, self._on_save).setEnabled(shown is not None)
         menu.addSeparator()
-        add_entry(menu, PRECISELY, _PRECISE, self.precise_chosen.emit)
+        add_entry(menu, PRECISELY, ABOUT_PRECISELY, self.precise_chosen.emit)
 
     def _add_entry(self, menu: Any, title: str, about: str, action: Callable[[], object]) -> Any:
         return add_entry(menu, title, about, partial(attempt, action, self._show_message))
