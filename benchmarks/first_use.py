@@ -33,7 +33,7 @@ from types import FrameType
 from typing import Any, NamedTuple
 
 import numpy as np
-from qtpy.QtCore import QEvent, QPoint, QPointF, QTimer
+from qtpy.QtCore import QEvent, QPointF, QTimer
 
 from benchmarks.clock import conditions, now, since
 from benchmarks.real_window import Poster, Window
@@ -181,12 +181,7 @@ class FirstUse(Window):
         results, begun = self._results, now().wall
 
         def place() -> QPointF:
-            row = 150.0 - 0.3 * _STEP * self._moves
-            view = self._canvas.view
-            x, y = (view.transform * view.scene.transform).map((90.0 - _STEP * self._moves, row))[
-                :2
-            ]
-            return QPointF(QPoint(round(x), round(y)))
+            return self.place_of(150.0 - 0.3 * _STEP * self._moves, 90.0 - _STEP * self._moves)
 
         def move() -> None:
             self._moves = min(self._moves + 1, 60)

@@ -19,11 +19,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from qtpy.QtCore import QEvent, QPoint, QPointF
+from qtpy.QtCore import QEvent
 
 from benchmarks.clock import conditions, now, since
+from benchmarks.real_window import Window
 from benchmarks.table import head, line
-from benchmarks.window import Window
 
 _WINDOW = (1366, 768)
 # Time between two moves of the mouse, in seconds.
@@ -87,23 +87,19 @@ class PulledWindow(Window):
         self.resize(*_WINDOW)
         self._dock.start()
         self.settle()
-        while self._dock.busy:
-            self.wait(0.1)
 
     def pull(self, at: tuple[float, float], by: tuple[float, float], steps: int) -> Pull | None:
         """Pull tissue by mouse, and undo the pull; None if there is no tissue at the point."""
         dock, pictures = self._dock, []
         dock.deformation_changed.connect(pictures.append)
-        self.send(QEvent.Type.MouseButtonPress, self._place(at))
+        self.send(QEvent.Type.MouseButtonPress, self.place_of(*at))
         for step in range(1, steps + 1):
             self.wait(_PACE)
             there = [float(a + b * step / steps) for a, b in zip(at, by, strict=True)]
             self._native._last_time = 0.0  # vispy drops moves in quick succession
-            self.send(QEvent.Type.MouseMove, self._place(there))
+            self.send(QEvent.Type.MouseMove, self.place_of(*there))
         began, last, longest, count = now(), now(), 0.0, len(pictures)
-        self.send(QEvent.Type.MouseButtonRelease, self._place(there))
-        shown: list[Any] = []
-        dock.result_drawn.connect(shown.append)
+        self.send(QEvent.Type.MouseButtonRelease, self.place_of(*there))
         while dock.busy:
             if since(began).wall > _LATEST:
                 raise SystemExit(f"no result of the pull at {at} by {by}")
@@ -112,7 +108,6 @@ class PulledWindow(Window):
                 longest, last, count = max(longest, since(last).wall), now(), len(pictures)
         took, solution = since(began), dock.solution
         dock.deformation_changed.disconnect(pictures.append)
-        dock.result_drawn.disconnect(shown.append)
         if solution is None or not dock.drawing.marks:
             return None
         moved = solution.displacement[tuple(round(each) for each in at)]
@@ -130,12 +125,6 @@ class PulledWindow(Window):
         dock.undo()
         self.settle()
         return made
-
-    def _place(self, pixel: Sequence[float]) -> QPointF:
-        view = self._canvas.view
-        row, col = pixel
-        x, y = (view.transform * view.scene.transform).map((col, row))[:2]
-        return QPointF(QPoint(round(x), round(y)))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

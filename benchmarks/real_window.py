@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 import napari
-from qtpy.QtCore import QEvent, QEventLoop, QObject, QPointF, Qt, QTimer
+from qtpy.QtCore import QEvent, QEventLoop, QObject, QPoint, QPointF, Qt, QTimer
 from qtpy.QtGui import QMouseEvent
 from qtpy.QtWidgets import QApplication
 
@@ -56,6 +56,12 @@ class Window:
         self.wait(1.0)
         self.viewer.reset_view()
         self.wait(0.5)
+
+    def place_of(self, *pixel: float) -> QPointF:
+        """Return the position on the canvas of a pixel, or of a voxel in the 3-D view."""
+        view = self._canvas.view
+        x, y, _, w = (view.transform * view.scene.transform).map(pixel[::-1])
+        return QPointF(QPoint(round(x / w), round(y / w)))
 
     def send(self, kind: QEvent.Type, place: QPointF) -> None:
         """Send an event of the left button at a position on the canvas."""

@@ -32,7 +32,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
-from qtpy.QtCore import QEvent, QPoint, QPointF
+from qtpy.QtCore import QEvent, QPointF
 from qtpy.QtWidgets import QApplication
 
 from benchmarks.checkouts import Turn, checkout, in_turn, ratio, serve, start_workers
@@ -140,9 +140,7 @@ class ImageWindow(Window):
         angle, reach = 2 * math.pi * seconds / _TURN, 0.03 * self._size
         row = 0.5 * self._size + reach * math.sin(angle)
         col = 0.3 * self._size + reach * (1 - math.cos(angle))
-        view = self._canvas.view
-        x, y = (view.transform * view.scene.transform).map((col, row))[:2]
-        return QPointF(QPoint(round(x), round(y)))
+        return self.place_of(row, col)
 
     def _on_mouse(self, moved: float) -> None:
         self._event_time = moved
@@ -220,10 +218,7 @@ class VolumeWindow(Window):
 
     def _place(self, away: float) -> QPointF:
         """Return the position on the canvas of a point beside the middle of the head."""
-        plane, row, col = self._centre + np.array([0, away, 0])
-        view = self._canvas.view
-        x, y, _, w = (view.transform * view.scene.transform).map((col, row, plane))
-        return QPointF(QPoint(round(x / w), round(y / w)))
+        return self.place_of(*(self._centre + np.array([0, away, 0])))
 
     def _wait_until(self, condition: Callable[[], bool]) -> None:
         began = now()
