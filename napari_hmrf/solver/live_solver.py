@@ -337,15 +337,21 @@ class LiveSolver:
         return is_long and _has_preview(optimizer) and not isinstance(prior, NeoHookeanPrior)
 
     def _with_pictures(self, report: Progress | None, problem: Problem, turn: Turn) -> Progress:
-        """Return a report that also delivers the field of large motion at intervals."""
-        shown = time.perf_counter()
+        """Return a report that also delivers the field of large motion at intervals.
+
+        Tissue never moves back: a new attempt, from coarser grids, is shown once it is farther.
+        """
+        shown, part = time.perf_counter(), 0.0
 
         def progress(monitor: Monitor) -> None:
-            nonlocal shown
+            nonlocal shown, part
             if report is not None:
                 report(monitor)
-            if monitor.so_far is not None and time.perf_counter() - shown > PICTURE_INTERVAL:
-                preview = monitor.so_far()
+            if monitor.so_far is None or time.perf_counter() - shown < PICTURE_INTERVAL:
+                return
+            preview = monitor.so_far()
+            if preview is not None and preview.reach.part >= part:
+                part = preview.reach.part
                 self._earlier.keep_on_its_way(problem, preview)
                 self._deliver_preview(turn, problem, preview)
                 shown = time.perf_counter()

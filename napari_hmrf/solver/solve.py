@@ -336,13 +336,7 @@ def _solve_all(
 
 def _mapped(progress: Progress, convert: Callable[[Any], Solution]) -> Progress:
     """Return a report that converts what `Monitor.so_far` returns."""
-
-    def report(monitor: Monitor) -> None:
-        if (so_far := monitor.so_far) is not None:
-            monitor = replace(monitor, so_far=lambda: convert(so_far()))
-        progress(monitor)
-
-    return report
+    return lambda monitor: progress(monitor.with_field(convert))
 
 
 def _solve_connected(

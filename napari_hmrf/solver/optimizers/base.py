@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -28,13 +28,25 @@ class Monitor:
         Completed fraction of the work, 0 to 1.
     so_far : callable, optional
         Returns the field at this step of a solve of large motion, without folds: an `Outcome` from
-        an optimizer, a `Solution` from `solve`. Valid on the compute thread, until the report
-        returns.
+        an optimizer, a `Solution` from `solve`, or None if the field folds on the finest grid.
+        Valid on the compute thread, until the report returns.
     """
 
     message: str
     fraction: float
     so_far: Callable[[], Any] | None = field(default=None, compare=False, repr=False)
+
+    def with_field(self, convert: Callable[[Any], Any]) -> Monitor:
+        """Return the same report, with what `convert` makes of each field."""
+        found = self.so_far
+        if found is None:
+            return self
+
+        def so_far() -> Any:
+            value = found()
+            return None if value is None else convert(value)
+
+        return replace(self, so_far=so_far)
 
 
 Report = Callable[[Monitor], None]

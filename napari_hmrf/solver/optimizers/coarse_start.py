@@ -34,8 +34,9 @@ def coarse_problem(problem: Problem, prior: NeoHookeanPrior) -> tuple[Problem, N
     """Return a problem on a grid of half the resolution; coarse site i coincides with site 2 i.
 
     A coarse site is tissue if any site around it is, and has the mean properties of this tissue. It
-    is observed if the coinciding site is. Other observations, such as those of thin lines, move to
-    the next coarse site, unless a neighbouring coarse site is observed already.
+    is observed if the coinciding site is. Around held tissue, all coarse sites are held, so that it
+    stays in place on the finer grid. Other observations, such as those of thin lines, move to the
+    next coarse site, unless a neighbouring coarse site coincides with an observation.
     """
     tissue = problem.tissue
     stiffness = _means(problem.stiffness, tissue)
@@ -68,6 +69,9 @@ def _injected(known: Values, values: Values) -> tuple[Values, Values]:
     mask, coarse = _extrapolated(known, values)
     mask, coarse = mask[every].copy(), coarse[every].copy()
     near = _refined(mask, known.shape, np.logical_or)
+    held = (_around(known & (values == 0)) > 0) & ~mask
+    coarse[held] = 0
+    mask |= held
     count = _around(pulled)
     beside = (count > 0) & ~mask
     coarse[beside] = _around(np.where(pulled, values, 0))[beside] / count[beside]

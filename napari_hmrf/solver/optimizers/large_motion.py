@@ -46,6 +46,8 @@ from napari_hmrf.solver.rigid_modes import holding_strength
 _TINY = 1e-300
 # Fraction of the work for the solution on coarser grids.
 _COARSE_WORK = 0.5
+# Completed fraction of a solve when the solution on coarser grids is found.
+_COARSE_PROGRESS = 0.5
 # Tolerance on coarser grids, in pixels.
 _COARSE_TOLERANCE = 0.05
 # Largest norm of the distances of a warm start from the observations, relative to the norm for a
@@ -132,15 +134,39 @@ def converge(
         gaps = [norm(np.where(held, observed - field, 0.0)) for field in (d, 0.0)]
         if gaps[0] >= _USEFUL_GAP * gaps[1]:
             d, start = np.zeros_like(d), None  # the warm start belongs to another motion
+
+    def state(d: Planes, grown: float) -> tuple[npt.NDArray[np.floating], float, Reach]:
+        """Return the displacement, its rounding error, and how far it satisfies observations."""
+        displacement, rounding, least = _returned(model, problem, d, tolerance)
+        missing = host.field(np.where(has_target, observed - d, 0.0))
+        # A site in no element has no motion yet: it follows the tissue near it.
+        missing[~sites_of_elements(problem.tissue)] = 0
+        parts = missing, host.field(observed), problem, tolerance, least, grown
+        return displacement, rounding, _reach(*parts)
+
+    def picture(d: Planes) -> Outcome | None:
+        """Return a field on the way to the solution; None if one of its elements is folded."""
+        if not model.energy(d)[1] >= LEAST_JACOBIAN:
+            return None
+        displacement, _, reach = state(d, progress.span[1])
+        energies = newton.energies or [model.energy(d)[0]]
+        energy = _per_site(energies, problem)
+        return Outcome(displacement, energy, (level(),), reach=replace(reach, stopped=True))
+
+    def level() -> LevelRun:
+        return LevelRun(0, problem.shape, len(newton.energies))
+
     restart = None
     if limit is None and takes_coarse_start(problem):
-        restart = partial(_coarse_start, problem, prior, backend, progress.message, work, model)
+        refine = partial(_on_finer_grid, problem)
+        report_coarse = partial(progress.report_coarse, lambda found: picture(refine(found)))
+        restart = partial(_coarse_start, problem, prior, backend, report_coarse, work, model)
     if restart is not None and not is_coarse:
         newton.restart = restart
     elif start is None and restart is not None:
         coarse = restart()
         if coarse is not None:
-            d = coarse
+            d, newton.is_refined = coarse, True
     if limit is None:
         # A solve that ran out of work is continued, even if it is obstructed.
         newton.is_warm = start is not None and not start.is_unfinished
@@ -152,25 +178,7 @@ def converge(
             LargeSlip(newton, observed, most, load, data).run, d, warm=start is not None
         )
 
-    def state(grown: float) -> tuple[npt.NDArray[np.floating], float, Reach]:
-        """Return the displacement, its rounding error, and how far it satisfies observations."""
-        displacement, rounding, least = _returned(model, problem, d, tolerance)
-        missing = host.field(np.where(has_target, observed - d, 0.0))
-        # A site in no element has no motion yet: it follows the tissue near it.
-        missing[~sites_of_elements(problem.tissue)] = 0
-        parts = missing, host.field(observed), problem, tolerance, least, grown
-        return displacement, rounding, _reach(*parts)
-
-    def so_far() -> Outcome:
-        displacement, _, reach = state(progress.span[1])
-        energies = newton.energies or [model.energy(d)[0]]
-        energy = _per_site(energies, problem)
-        return Outcome(displacement, energy, (level(),), reach=replace(reach, stopped=True))
-
-    def level() -> LevelRun:
-        return LevelRun(0, problem.shape, len(newton.energies))
-
-    newton.so_far = so_far
+    newton.so_far = partial(picture, d)
     try:
         try:
             grown = _grow(settle, model, material, d, tolerance, progress)
@@ -179,7 +187,7 @@ def converge(
             d[:] = 0
             work.begin_again()
             newton = make_newton()
-            newton.restart, newton.so_far = restart, so_far
+            newton.restart, newton.so_far = restart, partial(picture, d)
             settle = partial(newton.run, d, observed, held)
             grown = _grow(settle, model, material, d, tolerance, progress)
     except ConvergenceError:
@@ -188,7 +196,7 @@ def converge(
         raise
     if outside is not None:
         check_reach(d, problem)
-    displacement, rounding, reach = state(grown)
+    displacement, rounding, reach = state(d, grown)
     distance = newton.distance
     estimate = distance.estimate
     if newton.ran_out:
@@ -243,9 +251,10 @@ class _Progress:
         self._fraction = max(self._fraction, first + monitor.fraction * (last - first))
         self._report(replace(monitor, fraction=self._fraction))
 
-    def message(self, monitor: Monitor) -> None:
-        """Report a message of a solve on a coarser grid, without its progress and its field."""
-        self._report(Monitor(monitor.message, self._fraction))
+    def report_coarse(self, picture: Callable[[Outcome], Outcome | None], monitor: Monitor) -> None:
+        """Report the progress of a solve on a coarser grid, and a `picture` of its field."""
+        fraction = _COARSE_PROGRESS * monitor.fraction
+        self(replace(monitor.with_field(picture), fraction=fraction))
 
 
 def _coarse_start(
@@ -263,9 +272,15 @@ def _coarse_start(
         found = converge(_COARSE_TOLERANCE, coarse, coarse_prior, backend, report, None, part, True)
     except ConvergenceError:
         return None
-    d = host.planes(prolonged(found.displacement, problem.shape))
-    _reset_idle(problem, d)
+    d = _on_finer_grid(problem, found)
     return d if model.energy(d)[1] >= LEAST_JACOBIAN else None
+
+
+def _on_finer_grid(problem: Problem, coarse: Outcome) -> Planes:
+    """Return the field of a coarser grid on the grid of a problem."""
+    d = host.planes(prolonged(coarse.displacement, problem.shape))
+    _reset_idle(problem, d)
+    return d
 
 
 def _reset_idle(problem: Problem, d: Planes) -> None:

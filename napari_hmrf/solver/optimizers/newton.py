@@ -57,6 +57,8 @@ _JACOBIAN_PART = 0.25
 _PULL_PART = 0.85
 #: Jacobian below which a pull may not compress a corner any further.
 _PULL_FLOOR = 1e-5
+#: The same on coarser grids, which must not crush tissue that the finest grid could still pull.
+_COARSE_PULL_FLOOR = 0.05
 #: Fraction of the least Jacobian that must remain after a pull that rotates rigid bodies, because
 #: `_JACOBIAN_PART` applies to straight steps only.
 _RIGID_PART = 0.1
@@ -76,16 +78,16 @@ _PULL_LIMIT = 150
 _STEP_LIMIT = 400
 #: Work, as a part of `Work.measure`, after which a pull ends if it has not reduced the distance
 #: left to `_STALLED_PART`.
-_STALLED_WORK = 2.0
+_STALLED_WORK = 1.0
 _STALLED_PART = 0.75
 #: Fraction of the work after which tissue is not pulled any further.
 _PULL_WORK = 0.8
 #: Fraction of `Work.measure` after which a new initial field is tried if the tissue is still
 #: pulled.
 _RESTART_WORK = 0.4
-#: The same fraction if more than `_SLOW_PULL` of the pull is left.
-_EARLY_RESTART_WORK = 0.2
-_SLOW_PULL = 0.25
+#: Fraction of a pull that may be left after a step; if more is left, a new initial field is tried
+#: at once.
+_SLOW_PULL = 0.5
 # The linear system of a step
 
 #: Error at which a linear solve ends, relative to the initial error.
@@ -116,7 +118,7 @@ _SHARE_GROWTH = 2.0
 #: Distance from equilibrium, in pixels, at which tissue is relaxed enough for the next pull.
 _RELAXED_DISTANCE = 0.3
 #: Largest number of steps to reduce the distance to `_RELAXED_DISTANCE`.
-_RELAXATION_LIMIT = 6
+_RELAXATION_LIMIT = 2
 #: Distance from equilibrium, in pixels, that tissue must reach before a pull counts as stuck.
 _BALANCED_DISTANCE = 0.02
 #: Largest number of steps to reduce the distance to `_BALANCED_DISTANCE`.
@@ -305,9 +307,11 @@ class Newton:
         self.restart: Callable[[], Planes | None] | None = None
         self._strategy, self._poses = strategy, poses
         #: Function that returns the present field as an `Outcome`, for reports; or None.
-        self.so_far: Callable[[], Outcome] | None = None
+        self.so_far: Callable[[], Outcome | None] | None = None
         #: True if the run begins with a warm start, which is given up if it obstructs a pull.
         self.is_warm = False
+        #: True if the run begins with the solution on a coarser grid.
+        self.is_refined = False
         #: Loads on the tissue and forces of its data, or None.
         self.external_forces = external_forces
         self._tolerance = math.inf
@@ -359,9 +363,11 @@ class Newton:
         y, pace = np.where(held, y, d), _Pace()
         self._first, self._pulled = float(np.abs(y - d).max()), len(self.energies)
         self._pace_of_pull = math.inf, self._work.spent
+        if self.is_refined:
+            self._begin_refined(pace)
         for number in range(self._strategy.steps):
-            if self._is_slow(d, y, held) and self._restarts(d, y, held):
-                pace.restart()
+            if self._is_slow(number, d, y, held) and self._restarts(d, y, held):
+                self._begin_refined(pace)
             late = self._is_late(_PULL_WORK)
             if late or number == _PULL_LIMIT or self._is_stalled(_largest(y - d, held)):
                 self._stop_pulling(d, y, held, ran_out=late)
@@ -375,6 +381,14 @@ class Newton:
         must_settle = self._is_converged and not self._strategy.approximate
         if not math.isfinite(estimate) or (must_settle and estimate > _CREEP_DISTANCE):
             self._fail()
+
+    def _begin_refined(self, pace: _Pace) -> None:
+        """Relax the solution on a coarser grid first, without buckling terms.
+
+        Linear interpolation leaves kinks, at which tissue would buckle.
+        """
+        pace.restart()
+        self._positive = 1.0
 
     def _is_stalled(self, left: float) -> bool:
         """Return whether tissue hardly moves towards its target any more, for much work.
@@ -455,9 +469,9 @@ class Newton:
     def _takes_long(self, fraction: float) -> bool:
         return self._work.spent >= fraction * self._work.measure
 
-    def _is_slow(self, d: Planes, y: Planes, held: HeldPlanes) -> bool:
+    def _is_slow(self, number: int, d: Planes, y: Planes, held: HeldPlanes) -> bool:
         """Return whether another initial field is worth trying."""
-        if self.restart is None or not self._takes_long(_EARLY_RESTART_WORK):
+        if self.restart is None or number == 0:
             return False
         part = _largest(y - d, held) / self._first if self._first > 0 else 0.0
         return part > (0.0 if self._takes_long(_RESTART_WORK) else _SLOW_PULL)
@@ -700,9 +714,13 @@ class Newton:
         forces = self._model.forces(d)
         return forces if self.external_forces is None else forces + self.external_forces.forces(d)
 
+    @property
+    def _pull_floor(self) -> float:
+        return _COARSE_PULL_FLOOR if self._strategy.approximate else _PULL_FLOOR
+
     def _pull(self, d: Planes, start: Planes, way: Planes, y: Planes, held: HeldPlanes) -> float:
         """Move `d` from `start` until a corner is nearly folded; return the fraction taken."""
-        length, _ = self._model.length(d, way, _JACOBIAN_PART, _PULL_FLOOR)
+        length, _ = self._model.length(d, way, _JACOBIAN_PART, self._pull_floor)
         taken = 1.0 if length >= 1 else _PULL_PART * length
         floor = LEAST_JACOBIAN
         if self._model.bodies:
@@ -765,7 +783,7 @@ class Newton:
         """Stop pulling the prescribed components that obstruct the pull of others."""
         self._give_up_start()
         self._is_converged, self.restart = False, None
-        _, lengths = self._model.length(d, step.way, _JACOBIAN_PART, _PULL_FLOOR, each=True)
+        _, lengths = self._model.length(d, step.way, _JACOBIAN_PART, self._pull_floor, each=True)
         elements = lengths < _OBSTRUCTION
         pulled = host.inside(held & (y != d)).any(axis=0)
         pieces, count = scipy.ndimage.label(pulled, structure=np.ones((3,) * pulled.ndim))
