@@ -30,7 +30,8 @@ from napari_hmrf.solver.warm_start import nearest_to_targets
 TOLERANCE = 0.01
 #: Tolerance of a preview, in pixels.
 PREVIEW_TOLERANCE = 0.3
-#: Time between two pictures of a solve of large motion, in seconds.
+#: Time to the first picture of a solve of large motion, and between later ones, in seconds.
+FIRST_PICTURE = 0.25
 PICTURE_INTERVAL = 0.5
 #: Expected time of the first solution, in seconds, above which a preview is shown.
 PATIENCE = 0.1
@@ -341,20 +342,20 @@ class LiveSolver:
 
         Tissue never moves back: a new attempt, from coarser grids, is shown once it is farther.
         """
-        shown, part = time.perf_counter(), 0.0
+        next_at, part = time.perf_counter() + FIRST_PICTURE, 0.0
 
         def progress(monitor: Monitor) -> None:
-            nonlocal shown, part
+            nonlocal next_at, part
             if report is not None:
                 report(monitor)
-            if monitor.so_far is None or time.perf_counter() - shown < PICTURE_INTERVAL:
+            if monitor.so_far is None or time.perf_counter() < next_at:
                 return
-            preview = monitor.so_far()
+            preview, wait = monitor.so_far(), FIRST_PICTURE
             if preview is not None and preview.reach.part >= part:
-                part = preview.reach.part
+                part, wait = preview.reach.part, PICTURE_INTERVAL
                 self._earlier.keep_on_its_way(problem, preview)
                 self._deliver_preview(turn, problem, preview)
-                shown = time.perf_counter()
+            next_at = time.perf_counter() + wait
 
         return progress
 

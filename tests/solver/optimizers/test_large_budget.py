@@ -94,7 +94,8 @@ def test_the_progress_of_a_solve_with_growth_or_a_far_pull_never_decreases(exact
 
 
 def test_a_live_solve_shows_how_far_it_got_until_it_is_done(exact_budget, monkeypatch):
-    monkeypatch.setattr(live_solver, "PICTURE_INTERVAL", 0.0)
+    for name in ("FIRST_PICTURE", "PICTURE_INTERVAL"):
+        monkeypatch.setattr(live_solver, name, 0.0)
     updates: list[Update] = []
     done: list[float] = []
     with LiveSolver(
