@@ -358,7 +358,7 @@ class Controller:
         if not self.session.is_here(moved.study):
             return
         self.progress.restart()
-        if moved.folds > messages.HANDFUL:
+        if moved.folds:
             self._unfold(moved)
             return
         if moved.error is not None and self._has_taken_over(moved.study):

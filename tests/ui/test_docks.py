@@ -186,7 +186,7 @@ def test_the_dock_fits_on_a_small_screen_without_cut_texts(
     found.image = found._viewer.layers["MR [1]"]
     found.rules = (*found.rules, BoundaryRule(3, "expand", amount=-2.5), BoundaryRule(4, "remove"))
     screen.press("Boundary and gravity")
-    at_rest(thread=False)
+    at_rest()
     for table in form.tables:
         assert_headers_not_cut(table)
     boundaries = found.native.findChild(BoundaryTable)
