@@ -42,9 +42,9 @@ _LOADS = {
     "weight": "is a force",
     "cavity": "has forces",
 }
-# Largest number of sites of an image and of a volume that large motion solves within a minute or
-# two, with a picture every second.
-_MOST_SITES = {2: 2_000_000, 3: 64**3}
+# Largest number of sites that large motion solves within minutes, with the first pictures within
+# seconds.
+_MOST_SITES = 2_000_000
 _USE_ELASTIC = "the elastic model (`model='elastic'`)"
 
 
@@ -244,7 +244,7 @@ def unfolds_quickly(study: Study) -> bool:
     slides along other tissue takes minutes.
     """
     shape = study.grid.shape
-    is_small = math.prod(shape) <= _MOST_SITES[len(shape)]
+    is_small = math.prod(shape) <= _MOST_SITES
     is_prepared = are_compiled(LARGE_VOLUMES if len(shape) == 3 else LARGE_IMAGES)
     slides = any(row.slides for row in study.tissue.materials)
     return is_small and is_prepared and not slides and can_unfold(study)
