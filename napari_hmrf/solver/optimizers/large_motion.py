@@ -198,10 +198,9 @@ def converge(
         check_reach(d, problem)
     displacement, rounding, reach = state(d, grown)
     distance = newton.distance
-    estimate = distance.estimate
-    if newton.ran_out:
-        # Cycles that ended early may estimate more than any motion of the tissue.
-        estimate = min(estimate, max(float(np.abs(field).max()) for field in (d, observed)))
+    # Tissue that did not settle may have an estimate above any motion of the tissue.
+    largest = max(float(np.abs(field).max()) for field in (d, observed))
+    estimate = min(distance.estimate, max(largest, tolerance))
     if estimate > tolerance:
         reach = replace(reach, unbalanced=estimate * problem.unit, unbalanced_at=newton.worst(d))
     if newton.ran_out and (reach.where is not None or reach.unbalanced_at is not None):

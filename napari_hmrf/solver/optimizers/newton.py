@@ -80,6 +80,9 @@ _STEP_LIMIT = 400
 #: left to `_STALLED_PART`.
 _STALLED_WORK = 1.0
 _STALLED_PART = 0.75
+#: Work, as a part of `Work.measure`, after which tissue that is not pulled any further stays as it
+#: is, if its targets are out of reach.
+_SETTLING_WORK = 2.0
 #: Fraction of the work after which tissue is not pulled any further.
 _PULL_WORK = 0.8
 #: Fraction of `Work.measure` after which a new initial field is tried if the tissue is still
@@ -326,8 +329,8 @@ class Newton:
         self._first = 0.0
         # Distance from the targets, in pixels, and work when it was last reduced by a part.
         self._pace_of_pull = math.inf, 0.0
-        # Number of steps up to the last pull.
-        self._pulled = 0
+        # Number of steps up to the last pull, and the work up to it.
+        self._pulled, self._pulled_work = 0, 0.0
         # False once a prescribed position is known to be out of reach.
         self._is_converged = True
         # Smallest eigenvalue of the preconditioned tangent matrix that the next run should expect.
@@ -443,7 +446,9 @@ class Newton:
         arrived = taken == 1.0 and ((pulls and aim is y) or left == 0)
         if arrived and self._is_balanced(d, held, step):
             return _After.ARRIVED
-        if left == 0 and (taken == 0.0 or self._creeps(step.far)):
+        if left > 0:
+            self._pulled_work = self._work.spent
+        if left == 0 and (taken == 0.0 or self._creeps(step.far) or self._takes_long_to_settle):
             far = max(self.distance.estimate, step.far)
             self.distance = self.distance._replace(estimate=far)
             return _After.ENDED
@@ -695,6 +700,12 @@ class Newton:
         self.by_factors = True
         far, most = float(np.abs(way).max()), norm(load)
         return _Linear(way, far / most if most > 0 else 0.0, far, factors=factors)
+
+    @property
+    def _takes_long_to_settle(self) -> bool:
+        """True if tissue that stays short of its target hardly settles: it is crushed."""
+        spent = self._work.spent - self._pulled_work
+        return not self._is_converged and spent > _SETTLING_WORK * self._work.measure
 
     def _creeps(self, far: float) -> bool:
         """Return whether the latest steps were short and hardly decreased the energy."""
