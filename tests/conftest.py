@@ -337,8 +337,10 @@ def open_window(unstyled, make_napari_viewer, chequered, qtbot, at_rest):
     """Return a function that opens a window with the dock beside an image."""
     from tests.support.person import Person
 
-    def opened(data=None, **place):
+    def opened(data=None, *, is_small=False, **place):
         viewer = make_napari_viewer(show=True)
+        if is_small:  # software OpenGL draws a volume for seconds
+            viewer.window._qt_window.resize(800, 600)
         viewer.add_image(chequered if data is None else data, name="MR", **place)
         widget = dock_in(viewer)
         at_rest(thread=False)

@@ -228,7 +228,8 @@ def test_overlays_of_a_volume_are_volumes(volume_beside, settle):
 def test_folds_and_only_folds_are_blue_in_a_3d_view_of_strain(open_window, settle):
     planes, rows, cols = np.indices(SHAPE)
     is_brain = ((planes - 12) / 10) ** 2 + ((rows - 16) / 13) ** 2 + ((cols - 16) / 13) ** 2 < 1
-    person, widget = open_window(is_brain * (100 + 20 * (rows % 3)).astype(np.uint8), scale=SCALE)
+    brain = is_brain * (100 + 20 * (rows % 3)).astype(np.uint8)
+    person, widget = open_window(brain, is_small=True, scale=SCALE)
     pull_volume(person, widget, settle, ndisplay=3)
     widget.drawing = Drawing((Arrow((12, 16, 16), (0, 0, 8.0), 2.0),))
     for overlay in ("equivalent", "jacobian"):

@@ -293,7 +293,8 @@ def test_play_explains_that_a_slice_is_hidden_inside_the_volume(open_beside, set
 
 
 def test_the_mouse_turns_the_camera_beside_the_tissue_in_a_window(open_window, settle, wait_for):
-    person, widget = pull_volume(*open_window(head(), scale=SCALE), settle, ndisplay=3)
+    window = open_window(head(), is_small=True, scale=SCALE)
+    person, widget = pull_volume(*window, settle, ndisplay=3)
     camera = camera_of(person.viewer)
     person.viewer.reset_view()
     before, places = camera.angles, ((MIDDLE[0], 1.0, col) for col in count(2.0, 0.5))
