@@ -152,8 +152,10 @@ class Engine:
         counts_folds = counts_folds and request.grid.step == 1
         state = partial(self._state, request, counts_folds)
         patience = None if cold_start else patience_for(study, preview)
-        # If the patience is 0, a preview would cost more time than it saves.
-        self._generation = self.live.submit(state, preview=bool(patience), patience=patience)
+        # If the patience is 0, a preview would cost more time than it saves, except that large
+        # motion shows how far it got.
+        shows = bool(patience) or (study.model_name == "large motion" and not cold_start)
+        self._generation = self.live.submit(state, preview=shows, patience=patience)
 
     def start_from(self, solution: Solution) -> None:
         """Use a solution from a file as the warm start of the next solve on its grid."""
