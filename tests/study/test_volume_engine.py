@@ -8,9 +8,11 @@ from scipy.ndimage import binary_erosion, label
 
 from napari_hmrf import Arrow, Drawing, Grid, Motion, Study, Tissue, solve_study, warp
 from napari_hmrf.field.frame import Frame
+from napari_hmrf.solver import live_solver
 from napari_hmrf.study.coarse_grid import CoarseGrid, Preview
 from napari_hmrf.study.engine import Engine
 from napari_hmrf.study.ground import build_problem
+from napari_hmrf.study.models import optimizer_of, prior_of
 from napari_hmrf.study.study import Pictures
 from napari_hmrf.tissue.boundary_rules import BoundaryRule
 from napari_hmrf.tissue.drawing import Landmark, Stroke
@@ -57,6 +59,24 @@ def test_a_preview_of_a_volume_does_not_show_removed_tissue(view):
     assert final.image[10, 12, 11] == 3
     assert final.solution.removed[10, 12, 11]
     assert not final.solution.tissue[10, 12, 11]
+
+
+def test_a_volume_in_large_motion_is_shown_on_its_way(monkeypatch):
+    monkeypatch.setattr(live_solver, "FIRST_PICTURE", 0.0)
+    study = replace(
+        a_study(Arrow((10, 12, 11), (0.0, 5.0, 3.0), 3)),
+        prior=prior_of("large motion"),
+        optimizer=optimizer_of("large motion"),
+    )
+    delivered = []
+    engine = Engine(delivered.append, "a test")
+    try:
+        engine.submit(study)
+        assert engine.live.wait(60)
+    finally:
+        engine.close()
+    first, *_, last = (each.solution.displacement for each in delivered)
+    assert np.abs(first).max() < np.abs(last).max()
 
 
 def test_a_coarse_grid_samples_sites_at_a_constant_step():

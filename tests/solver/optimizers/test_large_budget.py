@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import binary_erosion
 
 from napari_hmrf import (
     ArgumentError,
@@ -201,6 +202,18 @@ def test_interpolation_to_a_finer_grid_keeps_a_field_without_folds(shape):
 
 def sampled(shape: tuple[int, ...]) -> tuple[slice, ...]:
     return tuple(slice(-(-size // 2)) for size in shape)
+
+
+@pytest.mark.parametrize("shape", [(40, 41), (12, 13, 14)])
+def test_held_tissue_stays_in_place_when_a_coarser_field_is_interpolated(shape):
+    sites = np.indices(shape) - (np.reshape(shape, (-1, *(1,) * len(shape))) - 1) / 2
+    disc = np.linalg.norm(sites, axis=0) < min(shape) / 2 - 1
+    rim = disc & ~binary_erosion(disc)
+    c, y = np.zeros((2, *shape, len(shape)))
+    c[rim] = 1
+    coarse, _ = coarse_problem(Problem(observed=y, confidence=c, stiffness=disc * 1.0), PRIOR)
+    moved = np.where(coarse.known, 0, np.random.default_rng(1).uniform(1, 2, coarse.known.shape))
+    assert not prolonged(moved, shape)[rim].any()
 
 
 def test_thin_tissue_and_thin_observations_are_on_the_coarser_grid():
