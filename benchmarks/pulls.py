@@ -105,6 +105,12 @@ class PulledWindow(Window):
     def pull(self, at: tuple[float, float], by: tuple[float, float], steps: int) -> Pull | None:
         """Pull tissue by mouse, and undo the pull; None if there is no tissue at the point."""
         dock, pixel = self._dock, tuple(round(each) for each in at)
+        self.send(QEvent.Type.MouseButtonPress, self.place_of(*at))
+        for step in range(1, steps + 1):
+            self.wait(_PACE)
+            there = [float(a + b * step / steps) for a, b in zip(at, by, strict=True)]
+            self._native._last_time = 0.0  # vispy drops moves in quick succession
+            self.send(QEvent.Type.MouseMove, self.place_of(*there))
         pictures: list[tuple[float, np.ndarray]] = []
         began = now()
 
@@ -113,14 +119,6 @@ class PulledWindow(Window):
                 pictures.append((since(began).wall, shown.solution.displacement))
 
         dock.deformation_changed.connect(keep)
-        self.send(QEvent.Type.MouseButtonPress, self.place_of(*at))
-        for step in range(1, steps + 1):
-            self.wait(_PACE)
-            there = [float(a + b * step / steps) for a, b in zip(at, by, strict=True)]
-            self._native._last_time = 0.0  # vispy drops moves in quick succession
-            self.send(QEvent.Type.MouseMove, self.place_of(*there))
-        began = now()
-        pictures.clear()
         self.send(QEvent.Type.MouseButtonRelease, self.place_of(*there))
         while dock.busy:
             if since(began).wall > _LATEST:
