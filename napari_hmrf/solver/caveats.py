@@ -24,6 +24,9 @@ _NAMED_REGIONS = 3
 # Difference of the observed displacements of two neighbouring sites, in pixels, above which tissue
 # between them cannot follow.
 _TEARING = 3.0
+# Held tissue is in the way up to this multiple of a displacement, because tissue before it that is
+# crushed needs room as well.
+_CRUSHED = 1.25
 #: Kind of the note about tissue without sufficient constraints.
 LOOSE = "loose"
 
@@ -94,7 +97,8 @@ def touching(problem: Problem) -> str:
     known = np.asarray(problem.known.all(axis=-1))
     y = np.where(known[..., None], problem.observed, np.nan) / np.asarray(problem.spacing)
     at: tuple[int, ...]
-    most, at = _TEARING, ()
+    after: tuple[int, ...]
+    most, at, after = _TEARING, (), ()
     for axis in range(known.ndim):
         difference = np.sqrt((np.diff(y, axis=axis) ** 2).sum(axis=-1))
         difference[np.isnan(difference)] = 0
@@ -103,13 +107,75 @@ def touching(problem: Problem) -> str:
             most = farthest
             first = np.unravel_index(int(difference.argmax()), difference.shape)
             at = tuple(map(int, first))
+            after = tuple(index + (along == axis) for along, index in enumerate(at))
     if not at:
         return ""
+    if _is_held_edge(problem, at) or _is_held_edge(problem, after):
+        return Note(
+            f"at {at}, tissue is moved beside the outer edge, which is held, and what lies between "
+            "is torn or crushed: move tissue farther inside, or let the edge move",
+            short="moved tissue touches the held edge",
+        )
     return Note(
         f"at {at}, tissue that is held or moved in two different ways touches, and what lies "
         "between is torn or crushed: release one of the two, or move them farther apart",
         short="held and moved tissue touch",
     )
+
+
+def in_the_way(problem: Problem, reach: Reach) -> str:
+    """Return a clause about held tissue towards which tissue was moved too far, or "".
+
+    Parameters
+    ----------
+    problem : Problem
+    reach : Reach
+        Reach of the solution of the problem.
+    """
+    if reach.where is None or reach.stopped or not problem.known[reach.where].all():
+        return ""
+    spacing = np.asarray(problem.spacing)
+    motion = problem.observed[reach.where] / spacing
+    length = float(np.linalg.norm(motion))
+    held = np.argwhere(problem.known.all(axis=-1) & (problem.observed == 0).all(axis=-1))
+    if length == 0 or not len(held):
+        return ""
+    # Tissue that is moved together has about this radius.
+    radius = _radius_of(reach.sites, held.shape[1])
+    away = held - reach.where
+    ahead = away @ motion / length
+    beside = np.linalg.norm(away - ahead[:, None] * (motion / length), axis=1)
+    is_near = (ahead > 0) & (beside <= radius) & (ahead <= _CRUSHED * length + radius)
+    if not is_near.any():
+        return ""
+    nearest = np.where(is_near, np.linalg.norm(away, axis=1), np.inf).argmin()
+    at = tuple(map(int, held[nearest]))
+    if _is_held_edge(problem, at):
+        return Note(
+            f"the outer edge, which is held, is in the way at {at}: move the tissue less, or let "
+            "the edge move",
+            short="the held edge is in the way",
+        )
+    return Note(
+        f"held tissue is in the way at {at}: move the tissue less, or release what is held",
+        short="held tissue is in the way",
+    )
+
+
+def _radius_of(sites: int, axes: int) -> float:
+    """Return the radius of a disc or ball of a number of sites, in pixels."""
+    return float(np.sqrt(sites / np.pi) if axes == 2 else np.cbrt(0.75 * sites / np.pi))
+
+
+def _is_held_edge(problem: Problem, site: tuple[int, ...]) -> bool:
+    """Return whether a site is held in place and has a neighbour outside of the tissue."""
+    if not problem.known[site].all() or problem.observed[site].any():
+        return False
+    block = tuple(slice(max(0, index - 1), index + 2) for index in site)
+    at_border = any(
+        index in (0, extent - 1) for index, extent in zip(site, problem.shape, strict=True)
+    )
+    return at_border or not problem.tissue[block].all()
 
 
 def _other_regions(reach: Reach) -> str:

@@ -196,7 +196,7 @@ class Ground:
                 free &= study.motion.labels == 0
             for part in (tissue, ground.body):
                 rim = outer_rim(part, diagonal=True) & free
-                base.observed[rim], base.confidence[rim] = 0, 1
+                base.observed[rim], base.confidence[rim], base.edge[rim] = 0, 1, True
         return replace(ground, notes=tuple(notes))
 
     def statement(self, drawn: Canvas | None = None, drawing: Drawing | None = None) -> Statement:

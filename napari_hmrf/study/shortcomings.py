@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.notes import Note
 from napari_hmrf.real_arrays import sites_in_words
-from napari_hmrf.solver.caveats import shortfall, touching
+from napari_hmrf.solver.caveats import in_the_way, shortfall, touching
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
 
@@ -43,6 +43,10 @@ def shortcomings(
     # `unit_symbol` imports pint, which is slow, so call it for large motion only.
     short = shortfall(solution.reach, unit_symbol(unit)) if solution.reach is not None else ""
     has_stopped = solution.reach is not None and solution.reach.stopped
-    cause = touching(problem) if (short or folds) and problem is not None else ""
+    cause = ""
+    if problem is not None and (short or folds):
+        cause = touching(problem)
+        if not cause and solution.reach is not None:
+            cause = in_the_way(problem, solution.reach)
     # More work comes first where it helps, because it may move the tissue all the way.
     yield from filter(None, (short, cause) if has_stopped else (cause, short))

@@ -378,7 +378,8 @@ class Conditions:
         metadata={
             "text": "Fix outer edge",
             "tooltip": "Fix the outline of the tissue, and tissue at the edge of the image, unless "
-            "a mark or the boundary moves it; edges of holes in the tissue stay free",
+            "a mark or the boundary moves it; edges of holes in the tissue stay free, and so does "
+            "the edge around a pull that takes part of it along",
             "step": "changed whether the edge is held",
         },
     )

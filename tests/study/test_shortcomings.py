@@ -64,6 +64,22 @@ def test_a_pull_that_touches_held_tissue_is_named_as_the_cause():
     assert not notes_with(solve_study(pulled_far(), backend="cpu").notes, "touches")
 
 
+def test_a_note_names_what_is_in_the_way_of_a_pull():
+    study = pulled_far()
+    far = Arrow((10, 12), (0, 11), 2)
+    hold = Arrow((10, 19), (0, 0), 1)
+    for marks, words in [
+        ((far,), "the outer edge, which is held, is in the way at (8, 23)"),
+        ((far, hold), "held tissue is in the way at (10, 18)"),
+        ((Arrow((10, 20), (0, 11), 3),), "beside the outer edge, which is held"),
+    ]:
+        motion = replace(study.motion, drawing=Drawing(marks))
+        pulled = Study(study.grid, study.tissue, motion, "large motion")
+        notes = solve_study(pulled, backend="cpu").notes
+        assert len(notes_with(notes, words)) == 1, notes
+        assert notes_with(notes, "could not move all the way")
+
+
 def test_folds_of_a_volume_are_counted_only_on_request(tmp_path):
     volume = pulled_far((10, 12, 14))
     solution = solve_study(volume, backend="cpu")

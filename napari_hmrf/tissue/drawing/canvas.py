@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, TypeGuard
 
@@ -76,6 +76,10 @@ class Canvas:
         Mask of void and dark surroundings; growing patches do not extend into them.
     removed : ndarray of bool, shape ([D,] H, W)
         Mask of the paint that removes tissue.
+    marked : ndarray of bool, shape ([D,] H, W)
+        Mask of the marks that prescribe or free motion.
+    edge : ndarray of bool, shape ([D,] H, W)
+        Mask of the outer edge of the tissue, if it is held without paint; see `Arrow.slack`.
     """
 
     observed: FloatArray
@@ -85,6 +89,8 @@ class Canvas:
     spacing: tuple[float, ...]
     slides: npt.NDArray[np.int32]
     removed: npt.NDArray[np.bool_]
+    marked: npt.NDArray[np.bool_]
+    edge: npt.NDArray[np.bool_]
     surroundings: npt.NDArray[np.bool_] | None = None
 
     @classmethod
@@ -99,8 +105,9 @@ class Canvas:
         y, kinds = np.zeros((*shape, n), dtype=np.float32), np.zeros(shape, dtype=np.uint8)
         tissue = kinds.copy() if labels is None else labels
         sizes = (1.0,) * n if spacing is None else tuple(map(float, spacing))
-        slides, removed = np.zeros(shape, dtype=np.int32), np.zeros(shape, dtype=bool)
-        return cls(y, y.copy(), tissue, kinds, sizes, slides, removed)
+        slides = np.zeros(shape, dtype=np.int32)
+        removed, marked, edge = (np.zeros(shape, dtype=bool) for _ in range(3))
+        return cls(y, y.copy(), tissue, kinds, sizes, slides, removed, marked, edge)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -114,9 +121,9 @@ class Canvas:
 
     @property
     def images(self) -> tuple[npt.NDArray[Any], ...]:
-        """Tuple of all images: observed, confidence, labels, kinds, slides, removed."""
+        """Tuple of the images that marks change."""
         motion = self.observed, self.confidence
-        return *motion, self.labels, self.kinds, self.slides, self.removed
+        return *motion, self.labels, self.kinds, self.slides, self.removed, self.marked
 
     def copy(self) -> Canvas:
         """Return a deep copy."""
@@ -124,7 +131,7 @@ class Canvas:
 
 
 def box_of(mark: Mark, spacing: Sequence[float], whole: Box) -> Box:
-    """Return the box of pixels that a mark may change; empty if the mark is outside `whole`."""
+    """Return the box of pixels that a mark covers; empty if the mark is outside `whole`."""
     reach = [brush_reach(mark.radius, spacing) / size for size in spacing]
     points = np.array([point for line in mark.lines for point in line])
     low, high = points.min(axis=0) - reach, points.max(axis=0) + reach
@@ -163,6 +170,8 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
     ProblemError
         If a mark that grows is an open line.
     """
+    if isinstance(mark, Arrow):
+        _free_edge(mark, canvas, window)
     box = box_of(mark, canvas.spacing, window)
     if is_empty(box) or not is_painted(mark):
         return
@@ -178,6 +187,7 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
     y, c = canvas.observed[box][..., components], canvas.confidence[box][..., components]
     if isinstance(mark, Arrow) or mark.action not in ("confidence", "tissue", "remove"):
         _stop_sliding(canvas, box, where)
+        canvas.marked[box] |= where
     if grows(mark):
         normals, region = _outward_in_tissue(mark, canvas)
         sides = zip(box, region, strict=True)
@@ -220,6 +230,27 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
         kinds[where] = 0
     elif mark.action != "confidence":  # confidence does not change the kind
         kinds[where] = KINDS[mark.action]
+
+
+def with_surroundings(mark: Mark) -> Mark:
+    """Return a mark that covers all pixels that the given mark may change."""
+    if isinstance(mark, Arrow) and mark.slack > 0 and mark.motion is None and any(mark.by):
+        return replace(mark, radius=mark.radius * (1 + mark.slack), slack=0.0)
+    return mark
+
+
+def _free_edge(mark: Arrow, canvas: Canvas, window: Box) -> None:
+    """Free the outer edge around an arrow that takes part of it along.
+
+    The edge under earlier marks stays as it is.
+    """
+    spacing, around = canvas.spacing, with_surroundings(mark)
+    patch, box = box_of(mark, spacing, canvas.whole), box_of(around, spacing, window)
+    if is_empty(patch) or is_empty(box) or around is mark:
+        return
+    if (covered(mark, spacing, patch) & canvas.edge[patch]).any():
+        free = covered(around, spacing, box) & canvas.edge[box] & ~canvas.marked[box]
+        canvas.confidence[box][free] = 0
 
 
 def _moves_its_corners(mark: Mark) -> TypeGuard[Landmark]:

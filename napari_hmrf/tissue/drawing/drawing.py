@@ -17,7 +17,15 @@ from napari_hmrf.archive import STORED, ByClass, first_fault
 from napari_hmrf.arguments import tuple_of
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.real_arrays import as_numbers
-from napari_hmrf.tissue.drawing.canvas import Box, Canvas, box_of, covers, is_empty, paint
+from napari_hmrf.tissue.drawing.canvas import (
+    Box,
+    Canvas,
+    box_of,
+    covers,
+    is_empty,
+    paint,
+    with_surroundings,
+)
 from napari_hmrf.tissue.drawing.marks import (
     Arrow,
     Landmark,
@@ -334,7 +342,7 @@ class Rendering:
         """Return the box of all marks that differ between the current and another drawing."""
         canvas, pairs = self.canvas, zip_longest(self.drawing.marks, drawing.marks)
         marks = [mark for pair in pairs if pair[0] != pair[1] for mark in _differing(*pair)]
-        marks = [mark for mark in marks if is_painted(mark)]
+        marks = [with_surroundings(mark) for mark in marks if is_painted(mark)]
         boxes = [box_of(mark, canvas.spacing, canvas.whole) for mark in marks]
         boxes = [box for box in boxes if not is_empty(box)]
         if not boxes:

@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 
 from napari_hmrf.checks import (
     Choice,
+    NotNegative,
     Number,
     Paths,
     Positive,
@@ -81,6 +82,10 @@ class Arrow(_Mark):
         Displacement of each pixel of the patch, in place of `by`, which is then the displacement of
         the centre. A click with the tool *Pull* holds displaced tissue in this way. By default, the
         whole patch moves by `by`.
+    slack : float
+        Distance beyond the patch, as a multiple of the radius, up to which the outer edge of the
+        tissue is free if it is held (`Motion.hold_edge`) and the patch takes part of it along. At
+        0, the edge is held up to the patch, so that tissue tears between them.
 
     Raises
     ------
@@ -95,6 +100,7 @@ class Arrow(_Mark):
     components: Annotated[Components, Choice()] = "both"
     amount: Number = 0.0
     motion: PatchMotion | None = None
+    slack: NotNegative = 0.0
 
     @property
     def _places(self) -> list[Point]:

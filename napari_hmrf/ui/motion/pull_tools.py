@@ -24,6 +24,8 @@ from napari_hmrf.ui.motion.tool import (
 
 #: Displacements below this value, in the unit of the spacing, are rounding errors and set to 0.
 _NOTHING = 1e-9
+#: Slack of the outer edge around a new arrow, which bends there without a visible kink.
+_SLACK = 2.0
 
 
 class PullTool(Tool):
@@ -155,7 +157,14 @@ class PullTool(Tool):
     def _new_mark(self, at: Point, to: Point, settings: ToolSettings) -> Arrow | Landmark:
         """Return a mark that moves tissue from one position to another."""
         still = (0.0,) * len(at)
-        arrow = Arrow(at, still, settings["radius"], settings["confidence"], settings["components"])
+        arrow = Arrow(
+            at,
+            still,
+            settings["radius"],
+            settings["confidence"],
+            settings["components"],
+            slack=_SLACK,
+        )
         return self._with_ends(arrow, at, to)
 
     def _changed(self, settings: ToolSettings) -> Mark | None:

@@ -36,7 +36,8 @@ radii = st.sampled_from([0.1, 1.0, 2.5, 6.0])
 sure = st.sampled_from([0.25, 0.5, 1.0])
 components = st.sampled_from(["both", "row", "col"])
 growth = st.sampled_from([0.0, 0.0, 1.0, -0.5])
-arrows = st.builds(Arrow, places, lengths, radii, sure, components, growth)
+slack = st.sampled_from([0.0, 2.0])
+arrows = st.builds(Arrow, places, lengths, radii, sure, components, growth, slack=slack)
 landmarks = st.builds(Landmark, places, places, radii, sure, growth)
 strokes = st.builds(
     Stroke,
@@ -71,6 +72,7 @@ def canvas(shape=SHAPE, spacing=SPACING):
     """Return a canvas on which every third row is observed already."""
     found = Canvas.blank(shape, spacing, np.ones(shape, np.uint8))
     found.observed[::3], found.confidence[::3] = (0.5, -0.5), 0.75
+    found.edge[::9] = True
     return found
 
 
@@ -127,6 +129,23 @@ def test_an_arrow_of_one_component_does_not_change_the_other_component():
     assert tuple(drawn.observed[4, 4]) == (2, 5)
     assert tuple(drawn.confidence[4, 4]) == (1, 1)
     assert not drawn.observed[0, 0, 0]
+
+
+def test_the_held_edge_is_free_around_a_pull_that_takes_it_along():
+    base = Canvas.blank((20, 60))
+    base.confidence[0], base.edge[0] = 1, True
+    hold, pull = Arrow((0, 14), (0, 0), 1), Arrow((2, 20), (4, 0), 3, slack=2)
+
+    def held_edge(*marks):
+        drawn = Drawing(marks).render(base)
+        moves = drawn.observed[0].any(axis=-1)
+        return np.flatnonzero(~moves & (drawn.confidence[0] > 0).all(axis=-1)).tolist()
+
+    far = [*range(12), *range(29, 60)]  # within 9 of the centre, the edge is free
+    assert held_edge(pull) == far
+    assert held_edge(hold, pull) == held_edge(pull, hold) == [*range(12), 13, 14, 15, *far[12:]]
+    still = replace(pull, by=(0, 0)), replace(pull, at=(5, 20)), Arrow((2, 20), (4, 0), 3)
+    assert [len(held_edge(each)) for each in still] == [60, 60, 55]
 
 
 def test_a_later_mark_covers_an_earlier_mark():

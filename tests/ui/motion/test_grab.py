@@ -178,16 +178,18 @@ def test_a_click_beside_the_fixed_edge_moves_no_tissue(pulling_beside, settle):
     assert widget.drawing.marks[1].motion is None, "a dragged patch does not move as a block"
 
 
-def test_a_pull_at_the_fixed_edge_reports_folds_and_their_cause(pulling_beside, settle):
+def test_a_pull_into_held_tissue_reports_folds_and_their_cause(pulling_beside, settle):
     person, widget = pulling_beside
     widget.unfolds = False
-    person.drag((3, 30), (3, 42))
+    person.drag((30, 36))
+    settle(widget)
+    person.drag((30, 30), (30, 42))
     settle(widget)
     assert "folds: show" in Screen(widget).button("⚠").text()
     assert "tissue that is held or moved in two different ways touches" in widget.warning
     assert widget.warning.count("folds over itself") == 1
     widget.undo()
-    person.drag((30, 30), (30, 33))
+    person.drag((30, 18), (30, 21))
     settle(widget)
     assert not widget.warning
 

@@ -57,7 +57,7 @@ def drag(pull, model):
 
 def test_a_drag_draws_one_arrow_in_the_unit_of_the_spacing(drag, model):
     assert drag((10, 10), (11, 10), (14, 13)) == "pulled tissue"
-    assert model.drawing.marks == (Arrow((10, 10), (4, 6), 3.0),)
+    assert model.drawing.marks == (Arrow((10, 10), (4, 6), 3.0, slack=2.0),)
     assert model.undo().word == "pulled tissue"
     assert not model.drawing.marks
 
@@ -65,7 +65,7 @@ def test_a_drag_draws_one_arrow_in_the_unit_of_the_spacing(drag, model):
 def test_a_click_pins_tissue_at_its_displayed_position(drag, model):
     settings = {**GRIP, "confidence": 0.5}
     assert drag((10, 10), settings=settings, origin=lambda _: (8.0, 11.0)) == "held tissue"
-    assert model.drawing.marks == (Arrow((8, 11), (2, -2), 3.0, 0.5),)
+    assert model.drawing.marks == (Arrow((8, 11), (2, -2), 3.0, 0.5, slack=2.0),)
 
 
 def test_void_is_not_pulled(pull, model):
@@ -78,9 +78,10 @@ def test_void_is_not_pulled(pull, model):
 def test_an_arrow_is_dragged_by_its_head_or_its_base_within_reach(drag, model):
     drag((10, 10), (14, 12))
     drag((14.5, 12), (16.5, 13))  # Half a pixel beside the head.
-    assert model.drawing.marks == (Arrow((10, 10), (6, 6), 3.0),)
+    assert model.drawing.marks == (Arrow((10, 10), (6, 6), 3.0, slack=2.0),)
     drag((10, 10), (11, 10))
-    assert model.drawing.marks == (Arrow((11, 10), (5, 6), 3.0),), "the head moved with the base"
+    moved = Arrow((11, 10), (5, 6), 3.0, slack=2.0)
+    assert model.drawing.marks == (moved,), "the head moved with the base"
     assert model.undo().word == "moved an arrow"
     assert model.undo().word == "moved an arrow"
     assert model.undo().word == "pulled tissue"
@@ -105,7 +106,7 @@ def test_the_selected_arrow_is_changed_and_removed(drag, pull, model):
     drag((20, 20), (21, 21))
     assert pull.selected == 1
     pull.change({**GRIP, "radius": 5.0, "confidence": 0.25})
-    assert model.drawing.marks[1] == Arrow((20, 20), (1, 2), 5.0, 0.25)
+    assert model.drawing.marks[1] == Arrow((20, 20), (1, 2), 5.0, 0.25, slack=2.0)
     before = model.next_undo
     pull.change(pull.mark_settings)
     assert model.next_undo is before, "an unchanged setting added an undo step"
