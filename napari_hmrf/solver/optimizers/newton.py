@@ -82,9 +82,12 @@ _STALLED_WORK = 1.0
 _STALLED_PART = 0.75
 #: Work, as a part of `Work.measure`, after which tissue that is not pulled any further stays as it
 #: is, if its targets are out of reach.
-_SETTLING_WORK = 2.0
+_SETTLING_WORK = 1.0
 #: Fraction of the work after which tissue is not pulled any further.
 _PULL_WORK = 0.8
+#: Work, as a part of `Work.measure`, after which tissue is not pulled any further if the work is
+#: not limited.
+_LONGEST_PULL = 3.0
 #: Fraction of `Work.measure` after which a new initial field is tried if the tissue is still
 #: pulled.
 _RESTART_WORK = 0.4
@@ -372,7 +375,8 @@ class Newton:
             if self._is_slow(number, d, y, held) and self._restarts(d, y, held):
                 self._begin_refined(pace)
             late = self._is_late(_PULL_WORK)
-            if late or number == _PULL_LIMIT or self._is_stalled(_largest(y - d, held)):
+            is_long = math.isinf(self._work.limit) and self._takes_long(_LONGEST_PULL)
+            if late or is_long or number == _PULL_LIMIT or self._is_stalled(_largest(y - d, held)):
                 self._stop_pulling(d, y, held, ran_out=late)
             after = self._advance(number, d, y, held, pace)
             if after is _After.ARRIVED:
