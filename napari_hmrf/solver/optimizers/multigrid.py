@@ -80,12 +80,13 @@ class Multigrid:
         precision, eight times as many cycles may run. Does not apply to large motion.
     budget : float or None
         Largest work of a large-motion solve, in solves of the same problem with linear elasticity;
-        None for no limit: tissue is then pulled up to three times the work of the default, and all
-        targets that are in reach by then are settled precisely. A small image may take more, up to half a second. If the budget is used
-        up, the result is the best field without folds so far, and `Solution.reach` contains how far
-        it is from the observations and from equilibrium. A warm start from this result continues
-        the solve. Any other warm start from which observations are out of reach is given up within
-        half of the budget; the solve then begins again from rest, with the whole budget.
+        None for no limit: tissue is then pulled for up to 2.5 times the work of the default, and
+        tissue that is at its target by then settles to the tolerance. A small image may take more,
+        up to half a second. If the budget is used up, the result is the best field without folds so
+        far, and `Solution.reach` contains how far it is from the observations and from equilibrium.
+        A warm start from this result continues the solve. Any other warm start from which
+        observations are out of reach is given up within half of the budget; the solve then begins
+        again from rest, with the whole budget.
     """
 
     tolerance: Positive = 1e-3

@@ -82,12 +82,12 @@ _STALLED_WORK = 1.0
 _STALLED_PART = 0.75
 #: Work, as a part of `Work.measure`, after which tissue that is not pulled any further stays as it
 #: is, if its targets are out of reach.
-_SETTLING_WORK = 1.0
+_SETTLING_WORK = 0.75
 #: Fraction of the work after which tissue is not pulled any further.
 _PULL_WORK = 0.8
 #: Work, as a part of `Work.measure`, after which tissue is not pulled any further if the work is
 #: not limited.
-_LONGEST_PULL = 3.0
+_LONGEST_PULL = 2.5
 #: Fraction of `Work.measure` after which a new initial field is tried if the tissue is still
 #: pulled.
 _RESTART_WORK = 0.4
