@@ -76,10 +76,11 @@ def shortfall(reach: Reach | None, unit: str) -> str:
         )
     if reach is not None and reach.unbalanced_at is not None:
         cause = "tissue had no time to settle" if reach.stopped else "crushed tissue did not settle"
-        clauses.append(
-            f"{cause}: pixels may still be {reach.unbalanced:.3g} {unit} from equilibrium, most at "
-            f"{reach.unbalanced_at}"
-        )
+        # The estimate is rough: an estimate above the distance from the targets says only that
+        # the tissue has not settled.
+        far = f": pixels may still be {reach.unbalanced:.3g} {unit} from equilibrium"
+        is_rough = 0 < reach.missing < reach.unbalanced
+        clauses.append(f"{cause}{'' if is_rough else far}, most at {reach.unbalanced_at}")
     if clauses and reach is not None and reach.stopped:
         clauses.append("to go on, allow more work (`budget`)")
     return Note("; ".join(clauses), short) if clauses else ""
