@@ -135,6 +135,7 @@ class ResultForm(Container):
         slider = Container(widgets=[self.slider], labels=False)
         top = row(self.play, slider, self.before)
         over = row(Form([self.overlay]), self.arrows)
+        over.native.layout().setStretch(0, 1)  # the names of overlays are long
         super().__init__(widgets=[top, over], labels=False)
         for part in (slider, top, over):
             part.margins = (0, 0, 0, 0)
