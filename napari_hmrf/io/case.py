@@ -347,7 +347,7 @@ def solve_case(
     del ground  # its images need as much memory as the problem
     solution = solve_statement(study, stated, backend=backend, progress=progress)
     folds = solution.count_folds()
-    caveats = tuple(shortcomings(solution, study.grid.unit, folds, stated.problem))
+    caveats = tuple(shortcomings(solution, study.grid.unit, folds, stated.problem, stated.edge))
     solution = replace(solution, notes=(*caveats, *solution.notes))
     name = stem_of(case.image)
     image = study.pictures.image

@@ -525,7 +525,7 @@ def complete_result(
         where = kept.tissue if is_quick else np.zeros_like(kept.tissue)
         estimate = partial(ground_uncertainty, ground, stated, labels=labels, where=where)
     outputs = result_layers(kept, place, pictures, checkpoint, stated.problem, forces, estimate)
-    short = shortcomings(solved, study.grid.unit, outputs.folds, stated.problem)
+    short = shortcomings(solved, study.grid.unit, outputs.folds, stated.problem, stated.edge)
     # The warning chip reports the number of folds.
     notes = (*(note for note in short if kind_of(note) != FOLDS), *of_study)
     return CompleteResult(moved, outputs, notes)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 import scipy
 
 from napari_hmrf.notes import Note
@@ -86,7 +87,7 @@ def shortfall(reach: Reach | None, unit: str) -> str:
     return Note("; ".join(clauses), short) if clauses else ""
 
 
-def touching(problem: Problem) -> str:
+def touching(problem: Problem, edge: npt.NDArray[np.bool_] | None = None) -> str:
     """Return a clause if neighbouring sites have very different observed displacements, or "".
 
     No model can follow both observations without tearing or crushing the tissue between them.
@@ -94,6 +95,8 @@ def touching(problem: Problem) -> str:
     Parameters
     ----------
     problem : Problem
+    edge : ndarray of bool, shape ([D,] H, W), optional
+        Outer edge of the tissue, which the clause then names.
     """
     known = np.asarray(problem.known.all(axis=-1))
     y = np.where(known[..., None], problem.observed, np.nan) / np.asarray(problem.spacing)
@@ -111,7 +114,8 @@ def touching(problem: Problem) -> str:
             after = tuple(index + (along == axis) for along, index in enumerate(at))
     if not at:
         return ""
-    if _is_held_edge(problem, at) or _is_held_edge(problem, after):
+    is_still = [not problem.observed[site].any() for site in (at, after)]
+    if edge is not None and ((edge[at] and is_still[0]) or (edge[after] and is_still[1])):
         return Note(
             f"at {at}, tissue is moved beside the outer edge, which is held, and what lies between "
             "is torn or crushed: move tissue farther inside, or let the edge move",
@@ -124,7 +128,7 @@ def touching(problem: Problem) -> str:
     )
 
 
-def in_the_way(problem: Problem, reach: Reach) -> str:
+def in_the_way(problem: Problem, reach: Reach, edge: npt.NDArray[np.bool_] | None = None) -> str:
     """Return a clause about held tissue towards which tissue was moved too far, or "".
 
     Parameters
@@ -132,6 +136,8 @@ def in_the_way(problem: Problem, reach: Reach) -> str:
     problem : Problem
     reach : Reach
         Reach of the solution of the problem.
+    edge : ndarray of bool, shape ([D,] H, W), optional
+        Outer edge of the tissue, which the clause then names.
     """
     if reach.where is None or reach.stopped or not problem.known[reach.where].all():
         return ""
@@ -151,7 +157,7 @@ def in_the_way(problem: Problem, reach: Reach) -> str:
         return ""
     nearest = np.where(is_near, np.linalg.norm(away, axis=1), np.inf).argmin()
     at = tuple(map(int, held[nearest]))
-    if _is_held_edge(problem, at):
+    if edge is not None and edge[at]:
         return Note(
             f"the outer edge, which is held, is in the way at {at}: move the tissue less, or let "
             "the edge move",
@@ -166,17 +172,6 @@ def in_the_way(problem: Problem, reach: Reach) -> str:
 def _radius_of(sites: int, axes: int) -> float:
     """Return the radius of a disc or ball of a number of sites, in pixels."""
     return float(np.sqrt(sites / np.pi) if axes == 2 else np.cbrt(0.75 * sites / np.pi))
-
-
-def _is_held_edge(problem: Problem, site: tuple[int, ...]) -> bool:
-    """Return whether a site is held in place and has a neighbour outside of the tissue."""
-    if not problem.known[site].all() or problem.observed[site].any():
-        return False
-    block = tuple(slice(max(0, index - 1), index + 2) for index in site)
-    at_border = any(
-        index in (0, extent - 1) for index, extent in zip(site, problem.shape, strict=True)
-    )
-    return at_border or not problem.tissue[block].all()
 
 
 def _other_regions(reach: Reach) -> str:

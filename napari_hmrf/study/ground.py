@@ -100,6 +100,8 @@ class Statement:
         move.
     removed : ndarray of bool, shape ([D,] H, W), optional
         Mask of the tissue that labels or strokes remove; None if no tissue is removed.
+    edge : ndarray of bool, shape ([D,] H, W), optional
+        Mask of the outer edge of the tissue, if it is held.
     labels : ndarray of int, shape ([D,] H, W), optional
         Tissue labels including brush strokes; None unless strokes changed labels of the tissue's
         own table.
@@ -114,6 +116,7 @@ class Statement:
     labels: npt.NDArray[np.int32] | None = None
     study: Study | None = None
     removed: npt.NDArray[np.bool_] | None = None
+    edge: npt.NDArray[np.bool_] | None = None
 
     def __repr__(self) -> str:
         return f"Statement({self.problem!r}, {self.prior!r}, {self.optimizer!r})"
@@ -267,7 +270,9 @@ class Ground:
                 landmarks=landmarks,
                 sliding=sliding_parts(canvas.labels, self.palette.materials, m),
             )
-        return Statement(problem, prior, self.study.optimizer, at_rest, labels, self.study, removed)
+        edge = canvas.edge if motion.hold_edge else None
+        optimizer = self.study.optimizer
+        return Statement(problem, prior, optimizer, at_rest, labels, self.study, removed, edge)
 
     def _check_remaining(self, m: FloatArray, canvas: Canvas) -> None:
         """Raise an error if no tissue, or no constrained tissue, remains after the removal."""
@@ -478,7 +483,7 @@ def solve_study(
     solution = solve_statement(study, stated, backend=backend, progress=progress, cancel=cancel)
     # Counting folds takes milliseconds for an image, but 5 % of the solve time for a volume.
     folds = 0 if solution.tissue.ndim == 3 else solution.count_folds()
-    short = shortcomings(solution, solution.unit, folds, stated.problem)
+    short = shortcomings(solution, solution.unit, folds, stated.problem, stated.edge)
     notes = (*drift_clauses(solution), *notes) if notes else solution.notes
     return replace(solution, notes=(*short, *notes))
 

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+import numpy.typing as npt
+
 from napari_hmrf.field.units import unit_symbol
 from napari_hmrf.notes import Note
 from napari_hmrf.real_arrays import sites_in_words
@@ -16,7 +19,11 @@ FOLDS = "folds"
 
 
 def shortcomings(
-    solution: Solution, unit: str, folds: int, problem: Problem | None = None
+    solution: Solution,
+    unit: str,
+    folds: int,
+    problem: Problem | None = None,
+    edge: npt.NDArray[np.bool_] | None = None,
 ) -> Iterator[str]:
     """Yield the shortcomings of a solution as clauses for the user.
 
@@ -29,6 +36,8 @@ def shortcomings(
         Number of sites that fold, as returned by `count_folds`; 0 if folds were not counted.
     problem : Problem, optional
         Problem of the solution, in which to look for the cause.
+    edge : ndarray of bool, shape ([D,] H, W), optional
+        Outer edge of the tissue, if it is held.
 
     Yields
     ------
@@ -45,8 +54,8 @@ def shortcomings(
     has_stopped = solution.reach is not None and solution.reach.stopped
     cause = ""
     if problem is not None and (short or folds):
-        cause = touching(problem)
+        cause = touching(problem, edge)
         if not cause and solution.reach is not None:
-            cause = in_the_way(problem, solution.reach)
+            cause = in_the_way(problem, solution.reach, edge)
     # More work comes first where it helps, because it may move the tissue all the way.
     yield from filter(None, (short, cause) if has_stopped else (cause, short))
