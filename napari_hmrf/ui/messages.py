@@ -200,8 +200,8 @@ def warnings_of(done: CompleteResult, overlay: str) -> tuple[str, str]:
     parts += map(_sentence, done.notes)
     if not counts:
         return " ".join(parts), _label(short_of(done.notes[0])) if done.notes else ""
-    word = next(iter(counts))
-    label = f"Hide the {word}" if overlay == FOLD_MARKS else f"{sum(counts.values())} {word}: show"
+    word, count = next(iter(counts.items()))
+    label = f"Hide the {word}" if overlay == FOLD_MARKS else f"{count} {word}: show"
     return " ".join(parts), label
 
 
