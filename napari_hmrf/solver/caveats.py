@@ -114,8 +114,8 @@ def touching(problem: Problem, edge: npt.NDArray[np.bool_] | None = None) -> str
             after = tuple(index + (along == axis) for along, index in enumerate(at))
     if not at:
         return ""
-    is_still = [not problem.observed[site].any() for site in (at, after)]
-    if edge is not None and ((edge[at] and is_still[0]) or (edge[after] and is_still[1])):
+    still = [site for site in (at, after) if not problem.observed[site].any()]
+    if edge is not None and any(edge[site] for site in still):
         return Note(
             f"at {at}, tissue is moved beside the outer edge, which is held, and what lies between "
             "is torn or crushed: move tissue farther inside, or let the edge move",

@@ -76,8 +76,6 @@ class LabelTable(QTableWidget, Generic[Row]):
     Attributes
     ----------
     role : "tissue" or "boundary"
-    title : str
-        Header of the name column.
 
     Signals
     -------
@@ -88,7 +86,6 @@ class LabelTable(QTableWidget, Generic[Row]):
     """
 
     role: Role
-    title: str
     changed = Signal(bool)
     picked = Signal(object)
     message = Signal(str)
@@ -127,7 +124,8 @@ class LabelTable(QTableWidget, Generic[Row]):
         """Columns of the table; subclasses add further columns."""
         return [
             Column("", "Click a row to paint with its label", lambda row: str(row.label)),
-            Column(self.title, "Double-click a name to change it", lambda row: row.name, _named),
+            # The title is short, because the dock is narrow.
+            Column("Name", "Double-click a name to change it", lambda row: row.name, _named),
         ]
 
     def default(self, label: int) -> Row:

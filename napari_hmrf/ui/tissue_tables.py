@@ -64,7 +64,7 @@ _TABLES = f"Materials, names of labels ({' '.join(f'*{ending}' for ending in END
 class MaterialTable(LabelTable[Material]):
     """Table of tissues with their stiffness, growth and sliding; `rows` are `Material`s."""
 
-    role, title = TISSUE, "Tissue"
+    role = TISSUE
 
     @property
     def columns(self) -> list[Column[Material]]:
@@ -149,7 +149,7 @@ class BoundaryTable(LabelTable[BoundaryRule]):
         Largest distance that can be typed: the longest side of the image.
     """
 
-    role, title = BOUNDARY, "Name"  # a longer title does not fit into the dock
+    role = BOUNDARY
     largest = math.inf
     _place = "px", Directions(), ""
 
