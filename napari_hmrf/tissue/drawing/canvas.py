@@ -170,8 +170,7 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
     ProblemError
         If a mark that grows is an open line.
     """
-    if isinstance(mark, Arrow):
-        _free_edge(mark, canvas, window)
+    _free_edge(mark, canvas, window)
     box = box_of(mark, canvas.spacing, window)
     if is_empty(box) or not is_painted(mark):
         return
@@ -232,24 +231,25 @@ def paint(mark: Mark, canvas: Canvas, window: Box) -> None:
         kinds[where] = KINDS[mark.action]
 
 
-def with_surroundings(mark: Mark) -> Mark:
-    """Return a mark that covers all pixels that the given mark may change."""
-    if isinstance(mark, Arrow) and mark.slack > 0 and mark.motion is None and any(mark.by):
-        return replace(mark, radius=mark.radius * (1 + mark.slack), slack=0.0)
-    return mark
+def with_surroundings(mark: Mark, canvas: Canvas) -> Mark:
+    """Return a mark that covers all pixels that the given mark may change.
 
-
-def _free_edge(mark: Arrow, canvas: Canvas, window: Box) -> None:
-    """Free the outer edge around an arrow that takes part of it along.
-
-    The edge under earlier marks stays as it is.
+    An arrow that takes part of the held outer edge along frees the edge around it.
     """
-    spacing, around = canvas.spacing, with_surroundings(mark)
-    patch, box = box_of(mark, spacing, canvas.whole), box_of(around, spacing, window)
-    if is_empty(patch) or is_empty(box) or around is mark:
-        return
-    if (covered(mark, spacing, patch) & canvas.edge[patch]).any():
-        free = covered(around, spacing, box) & canvas.edge[box] & ~canvas.marked[box]
+    if not (isinstance(mark, Arrow) and mark.slack > 0 and mark.motion is None and any(mark.by)):
+        return mark
+    patch = box_of(mark, canvas.spacing, canvas.whole)
+    if is_empty(patch) or not (canvas.edge[patch] & covered(mark, canvas.spacing, patch)).any():
+        return mark
+    return replace(mark, radius=mark.radius * (1 + mark.slack), slack=0.0)
+
+
+def _free_edge(mark: Mark, canvas: Canvas, window: Box) -> None:
+    """Free the outer edge around an arrow that takes part of it along, but not under marks."""
+    around = with_surroundings(mark, canvas)
+    box = box_of(around, canvas.spacing, window)
+    if around is not mark and not is_empty(box):
+        free = covered(around, canvas.spacing, box) & canvas.edge[box] & ~canvas.marked[box]
         canvas.confidence[box][free] = 0
 
 

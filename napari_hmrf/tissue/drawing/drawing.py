@@ -342,7 +342,7 @@ class Rendering:
         """Return the box of all marks that differ between the current and another drawing."""
         canvas, pairs = self.canvas, zip_longest(self.drawing.marks, drawing.marks)
         marks = [mark for pair in pairs if pair[0] != pair[1] for mark in _differing(*pair)]
-        marks = [with_surroundings(mark) for mark in marks if is_painted(mark)]
+        marks = [with_surroundings(mark, canvas) for mark in marks if is_painted(mark)]
         boxes = [box_of(mark, canvas.spacing, canvas.whole) for mark in marks]
         boxes = [box for box in boxes if not is_empty(box)]
         if not boxes:
