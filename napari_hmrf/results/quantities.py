@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from napari_hmrf.field.colormaps import SMALLEST, area_limits, reach_of
 from napari_hmrf.field.deformation import FloatArray, determinant_or_fold
-from napari_hmrf.field.strain import equivalent_strain, magnitude, principal_strains
+from napari_hmrf.field.strain import equivalent_strain, fold_mask, magnitude, principal_strains
 from napari_hmrf.solver.elastic_strain import strain_kind, values_of_strain
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.stress import hydrostatic_pressure, stress_values, von_mises_stress
@@ -124,7 +124,7 @@ def coloured(solution: Solution, quantity: Quantity) -> Coloured:
     values = values_of(solution, quantity)
     signed = quantity not in ("magnitude", "equivalent", "von_mises")
     if quantity == "jacobian":
-        folded = bool((values <= 0).any())
+        folded = bool(_folds(solution).any())
         return Coloured(values, area_limits(values, folded), signed, folded, folded)
     is_strain = QUANTITIES[quantity][1] == "%"
     if is_strain or quantity in _OF_STRESS:
@@ -158,7 +158,12 @@ def without_folds(
     hide folds in a 3-D view.
     """
     fold = np.float32(-np.inf if quantity == "squeeze" else np.inf)
-    return np.where(area_change(solution, fraction) <= 0, fold, values)
+    return np.where(_folds(solution, fraction), fold, values)
+
+
+def _folds(solution: Solution, fraction: float = 1.0) -> npt.NDArray[np.bool_]:
+    """Return a mask of the folds at a fraction of the deformation, as they are counted."""
+    return fold_mask(solution.displacement * np.float32(fraction), **solution.on_grid)
 
 
 def within(values: FloatArray, limits: tuple[float, float]) -> FloatArray:

@@ -26,6 +26,7 @@ from napari_hmrf import (
 from napari_hmrf.cli import main
 from napari_hmrf.fields import equivalent_strain, write_movie
 from napari_hmrf.results.measurement import measure
+from napari_hmrf.results.quantities import coloured
 from napari_hmrf.solver.solution import Provenance, Solution
 
 SHAPE = (40, 40)
@@ -86,6 +87,20 @@ def test_tissue_too_thin_for_cells_uses_the_size_change_of_its_pixels():
     solution = Solution(held, np.zeros(1), (), tissue, (1.0, 1.0), Provenance("cpu", ""))
     (found,) = measure(solution, np.ones((1, 10), int))
     assert found.size_change == pytest.approx(20, abs=1e-3)
+
+
+@pytest.mark.parametrize("quantity", ["equivalent", "jacobian"])
+def test_colours_mark_only_the_folds_that_are_counted(quantity):
+    tissue = np.zeros((5, 5), bool)
+    tissue[1:4, 1:4] = tissue[0, 2] = True
+    moved = np.zeros((5, 5, 2), np.float32)
+    moved[0, 2] = 3, 0  # a pixel in no element
+    solution = Solution(moved, np.zeros(1), (), tissue, (1.0, 1.0), Provenance("cpu", ""))
+    assert solution.jacobian()[1, 2] < 0
+    assert solution.count_folds() == 0
+    assert not coloured(solution, quantity).folded
+    moved[2, 2] = 2, 0
+    assert coloured(solution, quantity).folded
 
 
 def test_a_displacement_instead_of_a_solution_is_rejected():
