@@ -28,6 +28,12 @@ _TEARING = 3.0
 # Held tissue is in the way up to this multiple of a displacement, because tissue before it that is
 # crushed needs room as well.
 _CRUSHED = 1.25
+# Clause about tissue that observations with a precision hold.
+_OF_DATA = Note(
+    "measured motion, such as that of a registration, holds the tissue around: move the tissue "
+    "less, or remove the measured motion",
+    short="measured motion holds the tissue",
+)
 #: Kind of the note about tissue without sufficient constraints.
 LOOSE = "loose"
 
@@ -66,7 +72,7 @@ def shortfall(reach: Reach | None, unit: str) -> str:
         cause = (
             "the solve stopped before the tissue was fully there"
             if reach.stopped
-            else "tissue could not move all the way without folding"
+            else "tissue could not move all the way without being crushed"
         )
         if not clauses:
             end = "is not fully there yet" if reach.stopped else "stays short of its target"
@@ -129,7 +135,9 @@ def touching(problem: Problem, edge: npt.NDArray[np.bool_] | None = None) -> str
 
 
 def in_the_way(problem: Problem, reach: Reach, edge: npt.NDArray[np.bool_] | None = None) -> str:
-    """Return a clause about held tissue towards which tissue was moved too far, or "".
+    """Return a clause about what keeps tissue from its target, or "".
+
+    This is held tissue in its way, or else measured motion.
 
     Parameters
     ----------
@@ -145,7 +153,7 @@ def in_the_way(problem: Problem, reach: Reach, edge: npt.NDArray[np.bool_] | Non
     motion = problem.observed[reach.where] / spacing
     length = float(np.linalg.norm(motion))
     held = np.argwhere(problem.known.all(axis=-1) & (problem.observed == 0).all(axis=-1))
-    if length == 0 or not len(held):
+    if length == 0:
         return ""
     # Tissue that is moved together has about this radius.
     radius = _radius_of(reach.sites, held.shape[1])
@@ -154,7 +162,7 @@ def in_the_way(problem: Problem, reach: Reach, edge: npt.NDArray[np.bool_] | Non
     beside = np.linalg.norm(away - ahead[:, None] * (motion / length), axis=1)
     is_near = (ahead > 0) & (beside <= radius) & (ahead <= _CRUSHED * length + radius)
     if not is_near.any():
-        return ""
+        return _OF_DATA if problem.precision is not None else ""
     nearest = np.where(is_near, np.linalg.norm(away, axis=1), np.inf).argmin()
     at = tuple(map(int, held[nearest]))
     if edge is not None and edge[at]:

@@ -6,11 +6,21 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from napari_hmrf import Arrow, BoundaryRule, Drawing, Grid, Motion, Study, Tissue, solve_study
+from napari_hmrf import (
+    Arrow,
+    BoundaryRule,
+    Drawing,
+    Grid,
+    Motion,
+    Problem,
+    Study,
+    Tissue,
+    solve_study,
+)
 from napari_hmrf.cases import Case
 from napari_hmrf.io.case import solve_case
 from napari_hmrf.io.study_file import replay, write_study
-from napari_hmrf.solver.caveats import shortfall
+from napari_hmrf.solver.caveats import in_the_way, shortfall
 from napari_hmrf.solver.optimizers.base import Reach
 from napari_hmrf.study.shortcomings import shortcomings
 from napari_hmrf.ui.window_words import in_window_words
@@ -78,6 +88,17 @@ def test_a_note_names_what_is_in_the_way_of_a_pull():
         notes = solve_study(pulled, backend="cpu").notes
         assert len(notes_with(notes, words)) == 1, notes
         assert notes_with(notes, "could not move all the way")
+
+
+def test_a_note_names_measured_motion_that_holds_the_tissue():
+    y, c = np.zeros((2, 8, 8, 2))
+    y[3, 3], c[3, 3] = (0, 2), 1
+    reach = Reach(0.5, part=0.5, missing=1.0, where=(3, 3), sites=1)
+    tissue, precision = np.ones((8, 8)), np.broadcast_to(np.eye(2), (8, 8, 2, 2))
+    known = {"observed": y, "confidence": c, "stiffness": tissue}
+    assert in_the_way(Problem(**known), reach) == ""
+    measured = Problem(**known, precision=precision)
+    assert "such as that of a registration" in in_the_way(measured, reach)
 
 
 def test_folds_of_a_volume_are_counted_only_on_request(tmp_path):
