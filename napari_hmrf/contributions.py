@@ -13,6 +13,7 @@ from napari.utils.notifications import show_info
 
 from napari_hmrf.archive import is_damaged
 from napari_hmrf.errors import FileFormatError, HmrfError
+from napari_hmrf.field.brightness import limits_without_padding
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.io.apply import FieldFile, read_field_file, write_field_file
 from napari_hmrf.io.fields import FIELD_SUFFIXES, is_field_file
@@ -221,7 +222,11 @@ def _read_scans(path: PathOrPaths) -> list[LayerData]:
             attributes |= Frame.of_geometry(image.geometry).placement()
         if image.order:
             metadata[METADATA][FILE_AXES] = image.order
-        layers.append((image.pixels_in_place, attributes, "image"))
+        pixels = image.pixels_in_place
+        # Otherwise, all tissue of a padded CT image would be nearly white.
+        if not image.colours and (limits := limits_without_padding(pixels)) is not None:
+            attributes["contrast_limits"] = limits
+        layers.append((pixels, attributes, "image"))
     return layers
 
 

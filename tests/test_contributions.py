@@ -305,6 +305,14 @@ def test_a_scan_is_opened_at_its_place_in_the_patient(tmp_path):
     )
 
 
+def test_a_padded_ct_is_displayed_with_the_contrast_of_air_and_tissue(tmp_path):
+    pixels = np.full((1, 40, 40), -1000, np.int16)
+    pixels[:, 10:30, 10:30], pixels[:, :4], pixels[:, 20, 20] = 40, -3024, 600
+    path = str(write_image(tmp_path / "ct.mha", ImageFile(pixels)))
+    ((data, attributes, kind),) = open_scan(path)(path)
+    assert Layer.create(data, attributes, kind).contrast_limits == [-1000, 600]
+
+
 def test_a_folder_without_a_scan_is_left_to_other_readers(tmp_path):
     assert open_scan(str(tmp_path)) is None
     (tmp_path / "notes.txt").write_text("of the scan")

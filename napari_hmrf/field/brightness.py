@@ -1,4 +1,4 @@
-"""Brightness of colour images, and edge confidence of images."""
+"""Brightness of colour images, edge confidence of images, and padding of CT images."""
 
 from __future__ import annotations
 
@@ -14,6 +14,14 @@ from napari_hmrf.real_arrays import as_numbers
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
 # Quantile of the gradient magnitude above which a pixel belongs to an edge.
 _SHARE = 0.9
+# Smallest value of a CT image with air, in Hounsfield units; lower values are padding.
+_LEAST_HU = -1024
+# Values of air in a CT image, in Hounsfield units.
+_AIR_HU = (-1100, -900)
+# Smallest fraction of a CT image that air covers, without the padding.
+_AIR_SHARE = 0.02
+# Largest number of samples along each axis of a large image.
+_SAMPLES = 256
 
 
 def luminance(colours: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
@@ -61,3 +69,45 @@ def edge_confidence(image: npt.NDArray[Any], *, axes: int = 2) -> npt.NDArray[np
     slope = sobel(gaussian(luminance(image) if image.ndim > axes else image.astype(float), 1))
     steep: npt.NDArray[np.float32] = (slope > np.quantile(slope, _SHARE)).astype(np.float32)
     return steep
+
+
+def without_padding(grey: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Raise padding of a CT image to the lowest value of air; return other images unchanged.
+
+    Padding lies outside the circle of the scanner, and has a value below air, such as -3024.
+
+    Parameters
+    ----------
+    grey : ndarray
+        Grey image, in Hounsfield units if it is a CT image.
+
+    Returns
+    -------
+    ndarray
+        Of the same shape and type.
+    """
+    if grey.dtype.kind not in "if" or not (is_padding := grey < _LEAST_HU).any():
+        return grey
+    is_air = (grey > _AIR_HU[0]) & (grey < _AIR_HU[1])
+    if np.count_nonzero(is_air) < max(_AIR_SHARE * np.count_nonzero(~is_padding), 1):
+        return grey
+    return np.where(is_padding, grey[grey >= _LEAST_HU].min(), grey)
+
+
+def limits_without_padding(grey: npt.NDArray[Any]) -> tuple[float, float] | None:
+    """Return the lowest and the highest brightness of a padded CT image, except for the padding.
+
+    Large images are sampled.
+
+    Parameters
+    ----------
+    grey : ndarray
+
+    Returns
+    -------
+    tuple of float, or None
+        None for other images.
+    """
+    sample = grey[tuple(slice(None, None, -(-size // _SAMPLES)) for size in grey.shape)]
+    inside = without_padding(sample)
+    return None if inside is sample else (float(np.nanmin(inside)), float(np.nanmax(inside)))

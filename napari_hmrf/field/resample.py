@@ -13,6 +13,7 @@ from napari_hmrf.arguments import real, shown
 from napari_hmrf.compute.compile_cache import loader, loops
 from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.field.brightness import without_padding
 from napari_hmrf.field.slabs import slabs
 from napari_hmrf.real_arrays import as_numbers
 
@@ -202,8 +203,9 @@ def without_removed(picture: npt.ArrayLike, removed: BoolArray | None, fill: flo
 def emptiness(picture: npt.NDArray[Any], axes: int = 2) -> Any:
     """Return the fill value of uncovered pixels: 0 for colours, the lowest value for grey images.
 
-    In CT the lowest value is air. The fill value is a Python number of the type of the image,
-    because a float cannot represent the largest integers.
+    In CT the lowest value is air; padding below it does not count, see `without_padding`. The fill
+    value is a Python number of the type of the image, because a float cannot represent the largest
+    integers.
 
     Parameters
     ----------
@@ -211,8 +213,10 @@ def emptiness(picture: npt.NDArray[Any], axes: int = 2) -> Any:
     axes : int
         Number of spatial axes: 2, or 3 for a volume.
     """
+    if picture.ndim > axes:
+        return 0
     finite = picture[np.isfinite(picture)] if picture.dtype.kind == "f" else picture
-    return 0 if picture.ndim > axes or not finite.size else finite.min().item()
+    return without_padding(finite).min().item() if finite.size else 0
 
 
 def as_image(image: npt.ArrayLike, grid: tuple[int, ...]) -> npt.NDArray[Any]:

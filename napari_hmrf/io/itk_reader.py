@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.field.resample import emptiness
 from napari_hmrf.field.units import unit_factor
 from napari_hmrf.geometry import Geometry
 from napari_hmrf.io.decoded import CUT_SHORT, Decoded, Unreadable, check_size, missing_package
@@ -171,7 +172,7 @@ def read_series(folder: Path) -> Decoded:
 
 
 def resampled(image: Decoded, geometry: Geometry, *, labels: bool) -> Decoded:
-    """Resample an image to another grid; pixels outside of it get its smallest value.
+    """Resample an image to another grid; pixels outside of it are empty; see `emptiness`.
 
     Parameters
     ----------
@@ -183,8 +184,7 @@ def resampled(image: Decoded, geometry: Geometry, *, labels: bool) -> Decoded:
     sitk, pixels = _simpleitk(), image.pixels
     method, fill = sitk.sitkNearestNeighbor, 0.0
     if not labels:
-        finite = pixels[np.isfinite(pixels)]
-        method, fill = sitk.sitkLinear, float(finite.min()) if finite.size else 0.0
+        method, fill = sitk.sitkLinear, float(emptiness(pixels, pixels.ndim))
     is_rounded = not labels and pixels.dtype.kind in "iu"
     if is_rounded:  # ITK rounds down
         pixels = pixels.astype(np.float64)

@@ -18,6 +18,7 @@ from napari_hmrf.checks import Count, Samples, convert
 from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.errors import FileFormatError, HmrfError, ProblemError
 from napari_hmrf.extras import how_to_install
+from napari_hmrf.field.brightness import without_padding
 from napari_hmrf.io.film_overlay import FilmOverlay
 from napari_hmrf.results.animation import Motion
 from napari_hmrf.results.moved_pictures import MovedPictures
@@ -148,7 +149,7 @@ def _to_bytes(pictures: npt.NDArray[np.generic]) -> npt.NDArray[np.uint8]:
     values = pictures[..., :3] if pictures.ndim > 3 else pictures
     if values.dtype == np.uint8:
         return values.astype(np.uint8)
-    finite = np.nan_to_num(values.astype(float))
+    finite = without_padding(np.nan_to_num(values.astype(float)))
     low, high = float(finite.min()), float(np.percentile(finite, _WHITE))
     scaled = (finite - low) / max(high - low, np.finfo(float).tiny)
     levels: npt.NDArray[np.uint8] = np.rint(255 * scaled.clip(0, 1)).astype(np.uint8)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.field.brightness import without_padding
 from napari_hmrf.notes import Note
 from napari_hmrf.tissue.normals import outside_of
 
@@ -21,10 +22,6 @@ _KEPT = 4
 _known: list[tuple[weakref.ref[Any], npt.NDArray[np.bool_]]] = []
 # Smallest fraction of the image's edge that dark surroundings must cover.
 _AROUND = 0.75
-# Smallest value of a CT image with air, in Hounsfield units; lower values are padding.
-_LEAST_HU = -1024
-# Values of air in a CT image, in Hounsfield units.
-_AIR_HU = (-1100, -900)
 # Largest number of samples along each axis, with which the outline of a volume is found in 50 ms.
 _SAMPLES = 64
 # Position of the void threshold between the intensity of air (0) and the median of tissue (1).
@@ -37,8 +34,7 @@ def background_of(picture: npt.NDArray[Any], axes: int = 2) -> npt.NDArray[np.bo
     Otsu's threshold separates dark pixels from bright pixels. Dark pixels that are connected to the
     edge of the image are surroundings; other dark pixels are tissue. If the surroundings clearly
     consist of two kinds, such as air and fat in CT, the mask contains only the darker kind. Padding
-    below the air of a CT image, such as -2000 or -3024 outside the circle of the scanner, counts as
-    air.
+    of a CT image counts as air; see `without_padding`.
 
     Parameters
     ----------
@@ -78,7 +74,7 @@ def _separated(picture: npt.NDArray[Any], axes: int) -> tuple[npt.NDArray[np.boo
     """Return the mask of `background_of`, and the largest intensity of its pixels."""
     from skimage.filters import threshold_otsu  # heavy: skimage
 
-    grey = picture[..., :3].mean(axis=-1) if picture.ndim > axes else _without_padding(picture)
+    grey = picture[..., :3].mean(axis=-1) if picture.ndim > axes else without_padding(picture)
     values = grey[np.isfinite(grey)] if grey.dtype.kind == "f" else grey
     if not values.size or values.min() == values.max():
         return np.zeros(grey.shape, dtype=bool), 0.0
@@ -93,16 +89,6 @@ def _separated(picture: npt.NDArray[Any], axes: int) -> tuple[npt.NDArray[np.boo
         if differ and min(len(air), len(rest)) > _PART * len(around):
             surroundings, threshold = outside_of(grey > below), below
     return surroundings, float(threshold)
-
-
-def _without_padding(grey: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Raise padding below the air of a CT image to air; return other images unchanged."""
-    if grey.dtype.kind not in "if" or not (is_padding := grey < _LEAST_HU).any():
-        return grey
-    is_air = (grey > _AIR_HU[0]) & (grey < _AIR_HU[1])
-    if np.count_nonzero(is_air) < _PART * np.count_nonzero(~is_padding):
-        return grey
-    return np.where(is_padding, np.array(_LEAST_HU, grey.dtype), grey)
 
 
 def dark_border(picture: npt.NDArray[Any], axes: int = 2) -> npt.NDArray[np.bool_]:

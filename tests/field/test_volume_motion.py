@@ -164,6 +164,13 @@ def test_vacated_voxels_get_the_darkest_value_of_a_grey_volume():
     assert emptiness(np.full((*SHAPE, 3), 5), 3) == 0
 
 
+def test_vacated_pixels_of_a_padded_scan_are_air_rather_than_padding():
+    scan = np.full((40, 40), -1000, np.int16)
+    scan[10:30, 10:30], scan[:4] = 40, -3024
+    assert emptiness(scan) == -1000
+    assert emptiness(np.where(scan == -1000, 0, scan)) == -3024, "no air: not a CT image"
+
+
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_inverse_of_a_point_matches_the_inverse_map(seed):
     d, tissue = rough_field(seed), np.ones(SHAPE, bool)
