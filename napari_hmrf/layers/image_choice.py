@@ -72,6 +72,18 @@ def may_be_second(image: Any, other: Any) -> bool:
     return bool(np.prod(shared) >= _SHARED * np.prod(high - first))
 
 
+def shows_other_object(image: Any, other: Any) -> bool:
+    """Return whether a new image shows another object than an image, such as another sample.
+
+    So do images without a unit of length, such as photographs, that differ in size.
+    """
+    if other.source.sample is not None:
+        return bool(other.source.sample != image.source.sample)
+    if image.ndim != other.ndim or any(unit_name(unit) != "pixel" for unit in other.units):
+        return False
+    return image.units == other.units and not np.array_equal(image.extent.data, other.extent.data)
+
+
 def is_photograph(image: Any) -> bool:
     """Return whether an image seems to be a photograph or a drawing rather than a scan.
 

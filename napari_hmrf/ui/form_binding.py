@@ -19,6 +19,7 @@ from napari_hmrf.layers.image_choice import (
     is_photograph,
     may_be_second,
     painted_on,
+    shows_other_object,
 )
 from napari_hmrf.layers.image_result import ResultLayers
 from napari_hmrf.layers.metadata import BOUNDARY, role_of
@@ -32,7 +33,7 @@ from napari_hmrf.tissue.stiffness_curve import StiffnessCurve
 from napari_hmrf.ui.dock_form import DockForm
 from napari_hmrf.ui.events import EventConnections
 from napari_hmrf.ui.forms import show_quietly
-from napari_hmrf.ui.messages import EDGE_GOES, NOT_CHOSEN, SECOND, WELCOME
+from napari_hmrf.ui.messages import EDGE_GOES, NEW_IMAGE, NOT_CHOSEN, SECOND, WELCOME
 
 
 class FormBinding:
@@ -187,17 +188,21 @@ class FormBinding:
     def use_layer(self, layer: Any) -> None:
         """Choose a new layer as a paint layer, as the image, or as the second image.
 
-        It becomes the image only if no other image is in use.
+        It becomes the image if no other image is in use, or if it covers the image in use and
+        shows another object, such as another sample.
         """
         session, is_offered = self._session, layer in self._form.image.offered
-        if is_offered and not self.automatic and self._choose_second(layer):
-            self.message.emit(SECOND.format(self._form.image.value.name, layer.name))
-            return
-        begun = self._image_is_fixed
-        if session.image is not None:
-            is_third = self._form.result.second.value is not None
-            is_third = is_third and may_be_second(session.image, layer)
-            begun = begun or is_third or session.next_undo is not None
+        is_same = session.image is not None and self._may_be_second(layer)
+        begun = self._has_begun or (is_same and self._form.result.second.value is not None)
+        if is_offered and not self.automatic:
+            if is_same and self._choose_second(layer):
+                self.message.emit(SECOND.format(self._form.image.value.name, layer.name))
+                return
+            if begun and self._covers(layer) and shows_other_object(session.image, layer):
+                before: Any = session.image
+                session.select(layer)
+                self.message.emit(NEW_IMAGE.format(layer.name, before.name))
+                return
         with self.automatically():
             if is_offered and not begun:
                 session.select(layer)
@@ -205,9 +210,25 @@ class FormBinding:
             if image is None or layer in painted_on(image, layers, self._form.view()):
                 self._use_painted(layer)
         if is_offered and begun and not self.automatic:
-            covers = image is not None and image_covering(self._viewer, image) is layer
             # Another message reports that a layer covers the image.
-            self.message.emit("" if covers else NOT_CHOSEN.format(layer.name))
+            self.message.emit("" if self._covers(layer) else NOT_CHOSEN.format(layer.name))
+
+    @property
+    def _has_begun(self) -> bool:
+        """True if new images do not replace the image."""
+        is_edited = self._session.image is not None and self._session.next_undo is not None
+        return self._image_is_fixed or is_edited
+
+    def _may_be_second(self, layer: Any) -> bool:
+        """Return whether a layer may show the tissue of the image; during work, be strict."""
+        image = self._session.image
+        is_other = self._has_begun and shows_other_object(image, layer)
+        return may_be_second(image, layer) and not is_other
+
+    def _covers(self, layer: Any) -> bool:
+        """Return whether a layer hides the image."""
+        image = self._session.image
+        return image is not None and image_covering(self._viewer, image) is layer
 
     def _choose_second(self, new: Any = None) -> bool:
         """Choose the only other image that may show the same tissue; return True if chosen.
@@ -219,7 +240,7 @@ class FormBinding:
         if image is None or second.value is not None:
             return False
         painted = self._session.choice.layers
-        others = [layer for layer in second.offered if may_be_second(image, layer)]
+        others = [layer for layer in second.offered if self._may_be_second(layer)]
         others = [layer for layer in others if layer not in painted]
         if len(others) != 1 or new not in (None, others[0]):
             return False

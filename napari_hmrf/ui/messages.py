@@ -69,6 +69,8 @@ FROM_A_FILE = (
     f"Press {BUTTON} to solve again."
 )
 NOT_CHOSEN = "'{}' was not chosen, because another image is in use. To use it, choose it above."
+#: Message if a new image becomes the image, although another image is in use.
+NEW_IMAGE = "'{}' is now the image to deform. To go on with '{}', choose it above."
 #: Message if a new image becomes the second image.
 SECOND = (
     "Press 'Register' to move the tissue until '{0}' looks like '{1}', the second image. Or pull "

@@ -6,7 +6,7 @@ from napari.components import ViewerModel
 
 from napari_hmrf.layers.image_choice import image_covering, image_in_front
 from napari_hmrf.ui.forms import Section
-from napari_hmrf.ui.messages import SECOND
+from napari_hmrf.ui.messages import NEW_IMAGE, SECOND
 from napari_hmrf.ui.motion.motion_messages import START
 from tests.support.docks import open_sample, quick
 
@@ -94,9 +94,20 @@ def test_the_message_about_a_covered_image_follows_visibility_and_order(frame, t
         assert dock.status.startswith(f"'{upper.name}' covers the image") == shown
     viewer.layers.move(viewer.layers.index(lower), len(viewer.layers))
     assert dock.status == START
-    viewer.layers.remove(upper)
-    viewer.add_image(LARGER, rgb=True, name="new")
-    assert dock.status.startswith("'new' covers the image")
+
+
+def test_a_new_image_that_covers_the_image_in_use_becomes_the_image(frame):
+    dock = quick(frame.open())
+    open_sample(frame.viewer, [(GREY, {"name": "scan"}, "image")])
+    dock.plane = "strain"
+    new, *_ = open_sample(frame.viewer, [(GREY, {"name": "sample"}, "image")])
+    assert (dock.image, dock.compare_with) == (new, None)
+    assert dock.status == NEW_IMAGE.format("sample", "scan")
+    photograph = frame.viewer.add_image(LARGER, rgb=True, name="new")
+    assert dock.image is photograph
+    patch = frame.viewer.add_image(GREY, name="patch")
+    assert patch.visible
+    assert dock.image is photograph, "a small image covers only a part"
 
 
 @pytest.mark.parametrize(
