@@ -49,6 +49,8 @@ _ABOUT: dict[Name, str] = {
     "observed": "input: motion",
     "confidence": "input: confidence",
 }
+# Text of the overlay of a result without error bars.
+_NO_BARS = "uncertainty (not of this result)"
 #: Reasons why a requested overlay may be empty.
 LACKING: dict[Name, str] = {
     "labels": "This result has no tissue labels.",
@@ -68,16 +70,33 @@ OVERLAY_TIP = (
 
 
 def overlay_choices(
-    unit: str, ways: Directions = _UPRIGHT, compared: bool = False
+    unit: str,
+    ways: Directions = _UPRIGHT,
+    *,
+    has_bars: bool = True,
+    compared: bool = False,
 ) -> list[tuple[str, str]]:
-    """Return (label, name) pairs for all overlays; `compared` adds the difference."""
+    """Return (label, name) pairs for all overlays.
+
+    Parameters
+    ----------
+    unit : str
+        Unit of lengths.
+    ways : Directions
+        Names of the directions along the axes.
+    has_bars : bool
+        True if the uncertainty of the result can be estimated.
+    compared : bool
+        True to add the difference.
+    """
     rows, columns = (
         f"{ways.both(axis)} ({name})" if ways.both(axis) else f"along {name}"
         for axis, name in enumerate(("rows", "columns"))
     )
     size = "volume" if len(ways.order) == 3 else "area"
     words = {"unit": unit, "size": size, "rows": rows, "columns": columns}
-    offered = {name: said for name, said in _ABOUT.items() if compared or name != "difference"}
+    about = _ABOUT if has_bars else {**_ABOUT, "uncertainty": _NO_BARS}
+    offered = {name: said for name, said in about.items() if compared or name != "difference"}
     return [(_NONE, NOTHING), *((said.format(**words), name) for name, said in offered.items())]
 
 

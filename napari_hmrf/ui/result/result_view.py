@@ -312,7 +312,10 @@ class ResultView:
         compared = self._form.reference.value is not None
         if name == "difference" and not compared:
             name = words.NOTHING
-        show_choices(choice, words.overlay_choices(shown.answer.unit, ways, compared), name)
+        has_bars = shown.answer.estimate is not None or shown.estimated is not None
+        unit = shown.answer.unit
+        offered = words.overlay_choices(unit, ways, has_bars=has_bars, compared=compared)
+        show_choices(choice, offered, name)
         self._session.choose_display(overlay=name)
 
     def _lay_over(self, chosen: bool) -> None:

@@ -79,7 +79,7 @@ def test_an_estimate_is_cancelled_by_the_button_and_changes_nothing(elastic, wai
 def test_results_of_the_papers_model_have_no_uncertainty(widget, small_sample, run, wait_for):
     small_sample(viewer_of(widget))
     run(widget)
-    widget.overlay = "uncertainty"
+    Screen(widget).choose("uncertainty (not of this result)")
     wait_for(lambda: widget.overlay == "nothing")
     assert "Only results of the elastic model" in widget.status
 
