@@ -493,7 +493,9 @@ def _study_of(case: RegistrationCase, pair: _Pair, found: Registration) -> Study
         "before": found.similarity_before,
         "similarity": found.similarity,
     }
-    motion = replace(motion, measured=replace(motion.measured, record=record))
+    # Once the registration is removed, the edge is held, as that of a new image.
+    measured = replace(motion.measured, record=record, frees_edge=True)
+    motion = replace(motion, measured=measured)
     names = {**pair.study.names, "registration": case.moving.name}
     return replace(pair.study, motion=motion, prior=found.prior, names=names)
 

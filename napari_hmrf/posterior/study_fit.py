@@ -117,7 +117,7 @@ def fit_study(
             "has tissue that slides, which a fit does not support. Remove the sliding surface.",
         )
     refuse_model(study, "fit")
-    bare = replace(study, motion=replace(study.motion, measured=None))
+    bare = replace(study, motion=study.motion.unmeasured)
     stated = Ground.of(bare).statement()
     refuse_sliding_parts(study, stated.problem, "fit")
     images, landmarks = None, None

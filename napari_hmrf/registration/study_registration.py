@@ -50,13 +50,10 @@ class RegisteredStudy:
     study : Study
         The study with the measured motion, and without a fixed edge.
     registration : Registration
-    edge_was_fixed : bool
-        True if the edge of the tissue was fixed before.
     """
 
     study: Study
     registration: Registration
-    edge_was_fixed: bool = False
 
 
 def register_study(
@@ -146,6 +143,7 @@ def register_study(
         "residual": found.residual,
         "sd": found.sd,
     }
-    measured = MeasuredMotion(found.observed, found.precision, record)
+    held = study.motion.unmeasured.hold_edge
+    measured = MeasuredMotion(found.observed, found.precision, record, frees_edge=held)
     done = replace(study, motion=replace(free, measured=measured))
-    return RegisteredStudy(done, found, study.motion.hold_edge)
+    return RegisteredStudy(done, found)

@@ -81,7 +81,7 @@ class CoarseGrid:
         axes = measured.displacement.ndim - 1
         every = (slice(None, None, self.step),) * axes
         precision = np.float32(self.step**axes) * measured.precision[every]
-        return MeasuredMotion(measured.displacement[every], precision, measured.record)
+        return replace(measured, displacement=measured.displacement[every], precision=precision)
 
     def _place(self, place: Frame | None) -> Frame | None:
         """Return the place of this grid, given the place of the full grid."""

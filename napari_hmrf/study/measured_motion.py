@@ -33,6 +33,9 @@ class MeasuredMotion:
         `Problem`.
     record : mapping
         Origin of the measurement, in JSON types, such as the name of the second image.
+    frees_edge : bool
+        True if the measurement took the place of a held outer edge, which is held again once the
+        measurement is removed; see `Motion.unmeasured`.
 
     Raises
     ------
@@ -43,6 +46,7 @@ class MeasuredMotion:
     displacement: FloatArray
     precision: FloatArray
     record: Mapping[str, Any] = field(default_factory=dict)
+    frees_edge: bool = False
 
     def __post_init__(self) -> None:
         for name in ("displacement", "precision"):

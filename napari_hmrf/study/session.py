@@ -617,11 +617,8 @@ class Session(EditHistory):
         return replace(self.slice, kind="measured")
 
     def set_measured(self, measured: MeasuredMotion | None, word: str = "") -> None:
-        """Change the measured motion of the selected slice as a step named `word`.
-
-        Without a word, the change is no step.
-        """
-        self._set(self.measured_part, measured, word, None)
+        """Change the measured motion of the selected slice, without a step."""
+        self._set(self.measured_part, measured, "", None)
 
     def register(self, part: Part, measured: MeasuredMotion) -> None:
         """Set the measured motion of a slice and release the edge of its image, as one step.
@@ -636,7 +633,35 @@ class Session(EditHistory):
         chosen = Part("choice", part.layer)
         self.setdefault(part, None)
         free = replace(self.setdefault(chosen, ImageChoice()), hold_edge=False)
+        if any(each.frees_edge for each in self._measured_beside(part)):
+            measured = replace(measured, frees_edge=True)
         self.do_all({part: measured, chosen: free}, "registered the images")
+
+    def unregister(self, part: Part, word: str, values: Mapping[Part, Any] | None = None) -> None:
+        """Remove the measured motion of a slice as a step named `word`.
+
+        The edge of the image is held again if a registration has freed it, once no other slice is
+        registered; see `Motion.unmeasured`.
+
+        Parameters
+        ----------
+        part : Part
+            `measured_part` of the slice.
+        word : str
+        values : mapping of Part to value, optional
+            Other parts that the step changes.
+        """
+        measured, chosen = self.get(part), Part("choice", part.layer)
+        changed: dict[Part, Any] = {**(values or {}), part: None}
+        if measured.frees_edge and not self._measured_beside(part):
+            changed[chosen] = replace(self.get(chosen), hold_edge=True)
+        self.do_all(changed, word)
+
+    def _measured_beside(self, part: Part) -> list[MeasuredMotion]:
+        """Return the measured motion of the other slices of an image."""
+        others = [each for each in self.parts if each.kind == "measured" and each != part]
+        every = [self.get(each) for each in others if each.layer is part.layer]
+        return [each for each in every if each is not None]
 
     # Common
 
@@ -646,8 +671,10 @@ class Session(EditHistory):
         The chosen layers and their tables are kept. With a boundary layer, so is whether the edge
         is fixed; without one, it is fixed, as for a new image.
         """
-        choice = self.choice
-        edge = choice.hold_edge if choice.boundary is not None else ImageChoice.hold_edge
+        choice, measured = self.choice, self.get(self.measured_part)
+        edge = ImageChoice.hold_edge
+        if choice.boundary is not None:
+            edge = choice.hold_edge or (measured is not None and measured.frees_edge)
         conditions = {**ImageChoice().conditions, "hold_edge": edge}
         default = replace(choice, without_border=True, preset=None, **conditions)
         usual: dict[Part, Any] = {

@@ -472,6 +472,12 @@ class Motion(Conditions):
         if (self.observed is None) != (self.confidence is None):
             raise ProblemError("motion", "requires both the observed field and its confidence.")
 
+    @property
+    def unmeasured(self) -> Motion:
+        """The motion without the measurement; an edge that the measurement freed is held again."""
+        freed = self.measured is not None and self.measured.frees_edge
+        return replace(self, measured=None, hold_edge=self.hold_edge or freed)
+
     def __repr__(self) -> str:
         parts = [
             "edge held" if self.hold_edge else "",

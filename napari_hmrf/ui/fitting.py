@@ -13,11 +13,9 @@ from napari_hmrf.study.support import supports
 from napari_hmrf.tissue.boundary_rules import Material
 from napari_hmrf.ui.controller import Controller
 from napari_hmrf.ui.fit_window import NOTHING, FitWindow
-from napari_hmrf.ui.pair_job import PairJob
+from napari_hmrf.ui.pair_job import REMOVED, PairJob
 
 _INVALID = "Nothing was fitted, because the study is invalid; the dock shows the reason."
-#: Message after a fit of a registered slice.
-_UNREGISTERED = "The registration was removed; Undo restores it."
 
 
 class Fitting(PairJob):
@@ -95,16 +93,17 @@ class Fitting(PairJob):
             rows.append(replace(row, **changes))
         changed = table.edited(rows)
         values: dict[Part, Any] = {part: changed}
-        was_registered = self._session.get(measured) is not None
-        if was_registered:
-            values[measured] = None
+        word = "fitted the tissue to the second image"
         self._found = found.fit, changed
-        self._session.do_all(values, "fitted the tissue to the second image")
+        if was_registered := self._session.get(measured) is not None:
+            self._session.unregister(measured, word, values)
+        else:
+            self._session.do_all(values, word)
         parts = [f"Fitted, with intervals of 95 %: {'; '.join(found.described())}."]
         if found.fit.similarity is not None:
             parts.append(f"Agreement of the images: {100 * found.fit.similarity:.0f} %.")
         if was_registered:
-            parts.append(_UNREGISTERED)
+            parts.append(REMOVED)
         self._controller.follow_edit()
         self.message.emit(" ".join(parts))
 

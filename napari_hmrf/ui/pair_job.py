@@ -19,6 +19,8 @@ from napari_hmrf.ui.jobs import reason_of
 from napari_hmrf.ui.registration_form import RegistrationForm
 
 T = TypeVar("T")
+#: Message after the registration of a slice was removed.
+REMOVED = "The registration was removed; Undo restores it."
 #: Description of a job in the messages of edits that wait for it.
 _DOING = "a {} in 'Soft tissue' (press Cancel there to stop it)"
 

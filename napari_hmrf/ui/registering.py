@@ -19,7 +19,7 @@ from napari_hmrf.study.session import Part, Session
 from napari_hmrf.study.study import Study
 from napari_hmrf.study.support import supports
 from napari_hmrf.ui.controller import Controller
-from napari_hmrf.ui.pair_job import PairJob
+from napari_hmrf.ui.pair_job import REMOVED, PairJob
 from napari_hmrf.ui.registration_form import described
 
 #: Message after a registration of a study whose edge was fixed.
@@ -86,7 +86,7 @@ class Registering(PairJob):
         # Delivered only if nothing was edited since: the inputs are compared.
         self._controller.engine.deliver_again(found.study, found.registration.solution)
         self._session.register(part, measured)
-        parts = [described(measured), _EDGE if found.edge_was_fixed else ""]
+        parts = [described(measured), _EDGE if measured.frees_edge else ""]
         matrix = found.registration.matrix
         if not np.array_equal(matrix, np.eye(len(matrix))):
             place = found.study.grid.known_place
@@ -96,7 +96,8 @@ class Registering(PairJob):
         self.message.emit(" ".join(filter(None, parts)))
 
     def _remove(self, *_: Any) -> None:
-        self._session.set_measured(None, "removed the registration")
+        self._session.unregister(self._session.measured_part, "removed the registration")
+        self.message.emit(REMOVED)
 
     def _on_changed(self, part: Part, *_: Any) -> None:
         if part == self._session.measured_part:

@@ -18,6 +18,7 @@ from napari_hmrf.layers.slice_view import View
 from napari_hmrf.layers.viewer_undo import undo_of
 from napari_hmrf.solver.optimizers import Multigrid
 from napari_hmrf.study.engine import Deformation
+from napari_hmrf.study.measured_motion import MeasuredMotion
 from napari_hmrf.study.models import SolverDetails
 from napari_hmrf.study.session import DisplayChoice, ImageChoice, ModelChoice, Part, Session
 from napari_hmrf.tissue.material_presets import PLAIN
@@ -123,6 +124,22 @@ def test_reset_restores_drawing_and_settings_and_keeps_layers_as_one_step(layers
     assert model.choice == ImageChoice(**kept, hold_edge=False)
     assert model.undo().word == "reset the study"
     assert (model.choice, model.model, model.drawing) == before
+
+
+def test_the_edge_is_held_again_once_no_slice_of_the_image_is_registered():
+    session = Session()
+    session.select(image := object())
+    still = np.zeros((4, 4, 2), np.float32), np.zeros((4, 4, 2, 2), np.float32)
+    slices = [Part("measured", image, index=(number,)) for number in range(2)]
+    session.register(slices[0], MeasuredMotion(*still, frees_edge=session.choice.hold_edge))
+    assert not session.choice.hold_edge
+    session.register(slices[1], MeasuredMotion(*still, frees_edge=session.choice.hold_edge))
+    session.unregister(slices[0], "removed the registration")
+    assert not session.choice.hold_edge, "the other slice is registered"
+    session.unregister(slices[1], "removed the registration")
+    assert session.choice.hold_edge
+    session.undo()
+    assert not session.choice.hold_edge
 
 
 def test_the_tissues_to_paint_with_are_undone_reset_and_saved(layers, tmp_path):

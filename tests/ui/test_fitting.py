@@ -120,16 +120,17 @@ def test_the_growth_of_a_tumour_is_found_from_two_images_and_undone_in_one_step(
 
 
 def test_a_fit_replaces_a_registration_in_the_same_step(window, wait_for):
+    """So it holds the edge again that the registration has freed."""
     dock = window()
     Screen(dock).press("Register")
     wait_for(lambda: not dock.busy and dock.study.motion.measured is not None)
-    Screen(dock).tick("Fix outer edge")
-    wait_for(lambda: not dock.busy)
+    assert not dock.study.motion.hold_edge
     screen = FitScreen(dock)
     screen.tick("tumour", "grows (%)")
     screen.press("Fit")
     wait_for(lambda: not dock.busy and growth_of(dock)[1] > 0)
     assert dock.study.motion.measured is None
+    assert dock.study.motion.hold_edge
     assert "The registration was removed" in screen.words
     dock.undo()
     wait_for(lambda: not dock.busy)

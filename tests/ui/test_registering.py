@@ -77,6 +77,8 @@ def test_a_press_moves_the_tissue_to_the_second_image(window, wait_for):
     wait_for(lambda: not dock.busy and dock.solution is not None)
     Screen(dock).press("Unregister")
     wait_for(lambda: not dock.busy and dock.solution is None)
+    assert dock.study.motion.hold_edge, "as before the registration"
+    assert "The registration was removed" in dock.status
 
 
 def test_a_pull_corrects_the_registration(window, wait_for):
@@ -114,6 +116,8 @@ def test_a_registered_study_is_saved_and_opened_again(window, wait_for, tmp_path
     assert dock.compare_with.name == "after"
     register(dock, wait_for)
     assert error(dock, truth) < 0.1, "the images are compared again"
+    Screen(dock).press("Unregister")
+    assert dock.study.motion.hold_edge, "as before the first registration"
 
 
 def test_an_image_on_another_grid_is_registered_by_its_place(window, wait_for):
