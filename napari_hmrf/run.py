@@ -227,7 +227,7 @@ def _fit(options: commands.Fit) -> int:
     for clause in found.described():
         print(f"fitted: {clause}")
     if found.fit.similarity is not None:
-        print(f"agreement of the images: {100 * found.fit.similarity:.0f} %")
+        print(f"agreement of the images: {found.agreement}")
     if options.out is not None:
         print(f"written: {options.out}")
     return 0

@@ -105,8 +105,9 @@ class Fit:
         Mean squared difference from the measured motion, in units of its variance: about 1 if model
         and standard deviation are right. If it is larger, standard deviations are multiplied by its
         square root. For images, whose noise is estimated from their differences, 1.
-    similarity : float, optional
-        Correlation of the normalized images after the motion, at most 1; None without images.
+    similarity_before, similarity : float, optional
+        Correlation of the normalized images without and with the motion, at most 1, as of a
+        `Registration`; None without images.
     problem : Problem
         Problem with the fitted properties, without the measured motion.
     prior : ElasticPrior or NeoHookeanPrior
@@ -124,6 +125,7 @@ class Fit:
     problem: Problem
     prior: Elastic
     solution: Solution
+    similarity_before: float | None = None
     similarity: float | None = None
 
     def __repr__(self) -> str:
@@ -651,6 +653,8 @@ class _Fitter:
                 value, ends = reference * math.exp(value), reference * np.exp(ends)
             found[each.kind][each.label] = FittedProperty(float(value), sd, tuple(ends.tolist()))
         pair = self._data if isinstance(self._data, ImagePairData) else None
+        moved = state.solution.displacement
+        alike = [None if pair is None else pair.similarity(each) for each in (0 * moved, moved)]
         freedom = max(1, state.differences.size - len(values))
         return Fit(
             found["stiffness"],
@@ -661,7 +665,7 @@ class _Fitter:
             1.0 if pair is not None else state.square / freedom,
             *state.tissue,
             state.solution,
-            None if pair is None else pair.similarity(state.solution.displacement),
+            *alike,
         )
 
 

@@ -19,7 +19,7 @@ import scipy
 from napari_hmrf.registration.image_data import (
     Checkpoint,
     FloatArray,
-    correlation,
+    ImageLevel,
     moved_places,
     normalized,
     reduced,
@@ -57,6 +57,7 @@ class ImagePairData:
     """
 
     def __init__(self, images: Images, problem: Problem, size: int, checkpoint: Checkpoint) -> None:
+        self._images, self._size = images, size
         self._every = (slice(None, None, size),) * images.fixed.ndim
         self._spacing = np.multiply(size, problem.spacing)
         self._tolerance, self._checkpoint = _TOLERANCE * size, checkpoint
@@ -138,9 +139,12 @@ class ImagePairData:
         return np.asarray(found * np.outer(factor, factor))
 
     def similarity(self, displacement: npt.NDArray[np.floating]) -> float:
-        """Return the correlation of the normalized images at a displacement, at most 1."""
-        moved, weight = self._warped(displacement[self._every])
-        return correlation(self._fixed, moved, weight)
+        """Return the similarity of the images at a displacement, as a registration reports it."""
+        images, spacing = self._images, tuple((self._spacing / self._size).tolist())
+        level = ImageLevel(
+            images.fixed, images.moving, images.counted, 1, spacing, self._checkpoint
+        )
+        return level.agreement(displacement)[1]
 
     def _residuals(self, displacement: npt.NDArray[np.floating]) -> Float64Array:
         moved, weight = self._warped(displacement)

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.posterior.fit import Fit, FittedProperty, fit
+from napari_hmrf.registration.result import agreement_in_words
 from napari_hmrf.registration.study_registration import SecondPicture
 from napari_hmrf.solver.solve import CancelFlag, Progress
 from napari_hmrf.study.ground import Ground
@@ -37,6 +38,12 @@ class StudyFit:
 
     def __repr__(self) -> str:
         return f"StudyFit({'; '.join(self.described()) or 'nothing'})"
+
+    @property
+    def agreement(self) -> str:
+        """Agreement of the images before and after the motion, in words; "" without images."""
+        before, after = self.fit.similarity_before, self.fit.similarity
+        return "" if before is None or after is None else agreement_in_words(before, after)
 
     def described(self) -> tuple[str, ...]:
         """Describe each property with its interval of 95 %, as clauses for the user."""

@@ -176,3 +176,9 @@ class Registration:
             return pixels
         matrix = matrix_in_pixels(self.matrix, self.solution.spacing, self.moving_spacing)
         return np.asarray(pixels @ matrix[:axes, :axes].T + matrix[:axes, axes])
+
+
+def agreement_in_words(before: float, after: float) -> str:
+    """Describe the similarity of two images: "16 % before, 39 % after"."""
+    shares = (f"{100 * max(value, 0.0):.0f} %" for value in (before, after))
+    return "{} before, {} after".format(*shares)

@@ -101,7 +101,7 @@ class Fitting(PairJob):
             self._session.do_all(values, word)
         parts = [f"Fitted, with intervals of 95 %: {'; '.join(found.described())}."]
         if found.fit.similarity is not None:
-            parts.append(f"Agreement of the images: {100 * found.fit.similarity:.0f} %.")
+            parts.append(f"Agreement of the images: {found.agreement}.")
         if was_registered:
             parts.append(REMOVED)
         self._controller.follow_edit()

@@ -124,8 +124,8 @@ class Guide:
         """Hint about the second image until tissue moves, or ""."""
         image: Any = self._session.image
         second = self._form.result.second.value
-        is_moved = self._form.result.registration.is_registered or self._pointer.drawing.marks
-        if image is None or second is None or is_moved:
+        study = self._session.study
+        if image is None or second is None or (study is not None and study.moves):
             return ""
         return messages.SECOND.format(image.name, second.name)
 

@@ -79,9 +79,10 @@ class Introduction:
             self._start_timer.start()
 
     def _on_start(self) -> None:
-        study, self._sample, self._study = self._session.study, self._session.slice.layer, None
+        study, self._sample = self._session.study, self._session.slice.layer
         if study is None or self._sample is None:
             return
+        self._study = None if study.moves else study  # the first study is solved only if it moves
         hint = motion_messages.HERE_OR_PLAY if study.moves else motion_messages.HERE
         self._guide.introduction = hint
         self._results.show_undeformed(self._sample, "introduction")

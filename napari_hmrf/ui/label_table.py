@@ -96,6 +96,8 @@ class LabelTable(QTableWidget, Generic[Row]):
         self._view = view
         self._contents: RowTable[Row] = RowTable(())
         self._layer: Any = None
+        # True if the layer was painted since the last refresh.
+        self._is_painted = False
         self._connections = EventConnections()
         self._timer = single_shot(self, _PAUSE, self.refresh)
         self.setAccessibleName(f"{self.role} table")
@@ -188,7 +190,7 @@ class LabelTable(QTableWidget, Generic[Row]):
         self._connections = EventConnections(
             (layer.events.selected_label, self._mark),
             # Debounced: reading the labels of a large image takes longer than a stroke.
-            *((getattr(layer.events, name), lambda _: self._timer.start()) for name in _EVENTS),
+            *((getattr(layer.events, name), self._on_paint) for name in _EVENTS),
         )
         self._store(automatic=True)
 
@@ -206,7 +208,9 @@ class LabelTable(QTableWidget, Generic[Row]):
         self._timer.stop()
         new = self._list_painted()
         self._fill()
-        self._store(automatic=True)
+        if new or self._is_painted:  # else only the table was edited, which is stored
+            self._store(automatic=True)
+        self._is_painted = False
         if new:
             names = " and ".join(f"label {row.label}" for row in new[:3])
             self.message.emit(f"New in '{self._layer.name}': {names}. Set values in the table.")
@@ -216,6 +220,10 @@ class LabelTable(QTableWidget, Generic[Row]):
         if self._layer is not None:
             self._layer.selected_label = label
             self.picked.emit(self._layer)
+
+    def _on_paint(self, *_: Any) -> None:
+        self._is_painted = True
+        self._timer.start()
 
     def _mark(self, *_: Any) -> None:
         """Highlight the row of the label that is selected in the layer."""

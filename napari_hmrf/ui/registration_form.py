@@ -9,6 +9,7 @@ from psygnal import Signal
 
 from napari_hmrf.extras import how_to_install
 from napari_hmrf.registration.alignment import Kind
+from napari_hmrf.registration.result import agreement_in_words
 from napari_hmrf.study.measured_motion import MeasuredMotion
 from napari_hmrf.ui.forms import Form, Prose, menu, narrow, row
 
@@ -138,8 +139,7 @@ def described(measured: MeasuredMotion) -> str:
     name, before, after = (record.get(key) for key in ("second image", "before", "similarity"))
     text = f"Registered to '{name}'." if name else "Registered."
     if isinstance(before, float) and isinstance(after, float):
-        shares = (f"{100 * max(value, 0.0):.0f} %" for value in (before, after))
-        text += " Agreement when registered: {} before, {} after.".format(*shares)
+        text += f" Agreement when registered: {agreement_in_words(before, after)}."
         if after < _POOR:
             text += " The images agree poorly: use 'align first', or choose another second image."
     return text

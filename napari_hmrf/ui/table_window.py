@@ -10,6 +10,8 @@ from qtpy.QtCore import Qt
 
 # Width of the window in addition to that of the columns, and height of a row, in pixels.
 _MARGIN, _ROW = 40, 32
+# napari draws empty boxes in the colour of the table.
+_BOXES = "QTableView::indicator:unchecked { border: 1px solid gray; }"
 
 
 class Cell(NamedTuple):
@@ -74,6 +76,7 @@ class TableWindow(QtWidgets.QDialog):
         self.table.setAccessibleName(title)
         self.table.setTabKeyNavigation(False)  # the Tab key leaves the table
         self.table.verticalHeader().hide()
+        self.table.setStyleSheet(_BOXES)
         layout = QtWidgets.QVBoxLayout(self)
         for each in (*above, self.table, *below):
             layout.addWidget(each)
@@ -104,8 +107,8 @@ class TableWindow(QtWidgets.QDialog):
             for column, cell in enumerate(row):
                 table.setItem(number, column, cell.item())
         table.blockSignals(False)
+        table.resizeColumnsToContents()
         if is_first:
-            table.resizeColumnsToContents()
             width = table.horizontalHeader().length() + _MARGIN
             width = max(width, self.layout().minimumSize().width())
             self.resize(width, self._height + _ROW * (len(cells) + 1))

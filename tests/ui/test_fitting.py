@@ -110,6 +110,7 @@ def test_the_growth_of_a_tumour_is_found_from_two_images_and_undone_in_one_step(
     assert " to " in screen.value("tumour", "grows (%)"), "the interval is shown"
     rim = dock.solution.displacement[36, 31]
     assert rim[0] > 1, "the result shows the fitted growth"
+    assert "Fitted, with intervals" in dock.status, "the message of the fit is kept"
     dock.undo()
     wait_for(lambda: not dock.busy)
     assert growth_of(dock) == [0, 0]
