@@ -213,6 +213,16 @@ class ModelChoice:
         return choice
 
     @property
+    def before_unfolding(self) -> ModelChoice:
+        """The elastic model if large motion has taken its place, else the model itself."""
+        return replace(self, name="elastic") if self.has_unfolded else self
+
+    @property
+    def has_unfolded(self) -> bool:
+        """True if large motion has taken the place of the elastic model."""
+        return self.unfolds and self.name == "large motion"
+
+    @property
     def prior(self) -> Prior:
         """Prior of the model, without the Poisson's ratios of labelled tissues."""
         return prior_of(self.name, self.details, self.plane, self.poisson)
@@ -616,12 +626,14 @@ class Session(EditHistory):
         """Key of the measured motion of the selected slice."""
         return replace(self.slice, kind="measured")
 
-    def set_measured(self, measured: MeasuredMotion | None, word: str = "") -> None:
+    def set_measured(self, measured: MeasuredMotion | None) -> None:
         """Change the measured motion of the selected slice, without a step."""
         self._set(self.measured_part, measured, "", None)
 
     def register(self, part: Part, measured: MeasuredMotion) -> None:
         """Set the measured motion of a slice and release the edge of its image, as one step.
+
+        A model that large motion has replaced is elastic again, as for the registration.
 
         Parameters
         ----------
@@ -630,12 +642,15 @@ class Session(EditHistory):
         measured : MeasuredMotion
             Result of a registration.
         """
-        chosen = Part("choice", part.layer)
+        chosen, model = Part("choice", part.layer), Part("model", part.layer)
         self.setdefault(part, None)
         free = replace(self.setdefault(chosen, ImageChoice()), hold_edge=False)
         if any(each.frees_edge for each in self._measured_beside(part)):
             measured = replace(measured, frees_edge=True)
-        self.do_all({part: measured, chosen: free}, "registered the images")
+        values = {part: measured, chosen: free}
+        if model in self.parts:
+            values[model] = self.get(model).before_unfolding
+        self.do_all(values, "registered the images")
 
     def unregister(self, part: Part, word: str, values: Mapping[Part, Any] | None = None) -> None:
         """Remove the measured motion of a slice as a step named `word`.

@@ -347,7 +347,7 @@ class Controller:
 
     def _has_taken_over(self, study: Study) -> bool:
         """Return whether large motion took the place of the elastic model for a study."""
-        return self.session.model.unfolds and study.model_name == "large motion"
+        return self.session.model.has_unfolded and study.model_name == "large motion"
 
     def _take_back(self, error: Exception) -> None:
         """Choose the elastic model again, because large motion cannot solve the study."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -52,14 +53,17 @@ class Registering(PairJob):
         pair = None if self.busy else self._read_pair()
         if pair is None:
             return
-        self._study = pair[0]
+        # Where an earlier result folded, large motion has taken the place of the elastic model.
+        model = self._session.model.before_unfolding
+        self._study = study = replace(pair[0], prior=model.prior, optimizer=model.optimizer)
         work = partial(
             register_study,
-            *pair,
+            study,
+            pair[1],
             alignment=self._form.alignment.value,
             progress=self._controller.engine.report,
             checkpoint=compute_thread.check_cancelled,
-            show=partial(self._on_level, pair[0]),
+            show=partial(self._on_level, study),
         )
         self._run(work, partial(self._store, self._session.measured_part, self._second.value))
 
@@ -113,6 +117,6 @@ class Registering(PairJob):
         self._form.show(
             measured,
             second_name="" if second is None else str(second.name),
-            is_elastic=supports(self._session.model.name, "registration"),
+            is_elastic=supports(self._session.model.before_unfolding.name, "registration"),
             is_busy=self.busy,
         )

@@ -100,6 +100,18 @@ def test_held_tissue_stays_while_the_rest_is_registered(window, wait_for):
     assert far[8:20, 8:20].mean() < 0.1
 
 
+def test_a_registration_starts_from_the_elastic_model_that_large_motion_has_replaced(
+    window, wait_for
+):
+    dock, truth = window()
+    dock.session.unfold()  # as where an earlier registration has folded
+    register(dock, wait_for)
+    assert dock.model == "elastic"
+    assert error(dock, truth) < 0.1
+    dock.undo()
+    assert dock.model == "large motion"
+
+
 def test_a_registered_study_is_saved_and_opened_again(window, wait_for, tmp_path):
     dock, truth = window()
     register(dock, wait_for)
