@@ -30,6 +30,7 @@ from napari_hmrf.solver.backends.opengl.images.fields import (
     pairs_with_tissue,
     singles,
 )
+from napari_hmrf.solver.backends.opengl.images.model import GLModel
 from napari_hmrf.solver.backends.opengl.images.passes import Passes
 from napari_hmrf.solver.backends.opengl.images.seiler import GLSeilerModel
 from napari_hmrf.solver.backends.opengl.images.totals import (
@@ -93,7 +94,7 @@ class OpenGLBackend:
             self._passes.run,
             self._passes.wait,
         )
-        self._model_passes: list[Passes | VolumePasses] = []
+        self._model_passes: list[VolumePasses] = []
         self._pool = Pool(self._device.texture)
         self._keeps_shares = software
         self._tissue_of_grid: dict[tuple[int, ...], Tissue] = {}
@@ -200,7 +201,8 @@ class OpenGLBackend:
     def elastic_model(self, material: ElasticMaterial) -> LinearModel:
         """Build the linear model of an elastic image or volume.
 
-        For images, the levels are copied from a model on the host. There are no shaders for a data
+        For images, the levels are copied from a model on the host, unless the device has them
+        from the last solve. There are no shaders for a data
         term, so compiled loops solve the steps in which observations that slip are springs.
         """
         if material.data is not None:
@@ -210,11 +212,11 @@ class OpenGLBackend:
             passes = VolumePasses(self._device, self._pace)
             self._model_passes.append(passes)
             return GLVolumeModel(passes, material)
-        return GLElasticModel(self._passes_for(material.m), material)
+        return self._image_model(GLElasticModel, material)
 
     def seiler_model(self, material: SeilerMaterial) -> LinearModel:
-        """Build the linear model of the paper's cliques, with levels copied from the host."""
-        return GLSeilerModel(self._passes_for(material.m), material)
+        """Build the linear model of the paper's cliques, as that of an elastic image."""
+        return self._image_model(GLSeilerModel, material)
 
     def finite_model(self, material: FiniteMaterial) -> FiniteModel:
         """Raise `BackendError`, because there are no shaders for large motion."""
@@ -231,7 +233,7 @@ class OpenGLBackend:
             released.ratios.clear()
 
     def close(self) -> None:
-        """Free all textures; the context and the compiled kernels remain for the next solve."""
+        """Free the textures; context, kernels and the last model remain for the next solve."""
         for passes in (*self._model_passes, self._passes):
             passes.close()
         self._model_passes.clear()
@@ -239,11 +241,22 @@ class OpenGLBackend:
         self._tissue_of_grid.clear()
         self._pool = Pool(self._device.texture)
 
-    def _passes_for(self, stiffness: FloatArray) -> Passes:
-        """Return new passes for a model; raise `BackendError` if the image is too large."""
-        self._refuse(image_refusal(self._device, stiffness.shape))
-        made = Passes(self._device, self._stage, self._pace)
-        self._model_passes.append(made)
+    def _image_model(self, kind: type[GLElasticModel | GLSeilerModel], material: Any) -> GLModel:
+        """Return the model of an image, which the device keeps in place of the last model."""
+        self._refuse(image_refusal(self._device, material.m.shape))
+        host = kind.host_of(material)
+        kept: GLModel | None = self._device.kept_model
+        if kept is not None and kept.serves(host, self._stage):
+            kept.resume(self._pace)
+            return kept
+        self._device.forget_model()
+        passes = Passes(self._device, self._stage, self._pace)
+        try:
+            made = kind(passes, host)
+        except BaseException:
+            passes.close()
+            raise
+        self._device.kept_model = made
         return made
 
     def _read(self, field: GLField) -> FloatArray:

@@ -495,6 +495,7 @@ def test_an_iteration_allocates_nothing(stage, made, prior, smoothing, iterate):
 
     counts = on_compute_thread(job)
     assert counts[3:] == [counts[3]] * 3
+    on_compute_thread(lambda: the_device().forget_model())
     assert left(made) == 0
 
 
@@ -515,14 +516,14 @@ def test_a_cancelled_solve_frees_memory_and_does_not_affect_the_next(
 
     how = {"optimizer": optimizer, "backend": f"opengl:{stage}"}
     before = solve(problem, prior, **how)
-    looks = count_batches()
+    looks, kept = count_batches(), left(made)
     assert looks > 10 * before.iterations
     for where in (0.0, 0.5, 0.999):
         with pytest.raises(Cancelled):
             count_batches(stop_at=int(where * looks))
-        assert left(made) == 0
+        assert left(made) <= kept, "only the model of the tissue is kept"
     np.testing.assert_array_equal(solve(problem, prior, **how).displacement, before.displacement)
-    assert left(made) == 0
+    assert left(made) <= kept
 
 
 @pytest.mark.parametrize(("prior", "ratio"), [(ElasticPrior(), 4.0), (CENTRED, 20.0)])

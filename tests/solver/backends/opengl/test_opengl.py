@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from napari_hmrf import ICM, BackendError, Cancelled, Problem, SeilerPrior, solve
+from napari_hmrf import ICM, BackendError, Cancelled, ElasticPrior, Problem, SeilerPrior, solve
 from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.solver.backends.choice import open_backend
 from napari_hmrf.solver.backends.job import SolveJob
@@ -173,6 +174,25 @@ def test_the_description_reports_a_working_device(opengl):
 def test_a_solve_frees_all_textures(ledger):
     solve(body(), SeilerPrior(), optimizer=CLOSED_FORM, backend="opengl")
     assert len(ledger.made) > 20
+    assert ledger.left == 0
+
+
+def test_the_next_solve_of_the_same_tissue_copies_nothing_but_the_residual(ledger, monkeypatch):
+    import moderngl
+
+    problem, written = body(), []
+    first = solve(problem, ElasticPrior(), backend="opengl")
+    assert ledger.left > 0, "the model is kept"
+    write = moderngl.Texture.write
+    monkeypatch.setattr(
+        moderngl.Texture, "write", lambda self, data: written.append(self.size) or write(self, data)
+    )
+    again = solve(replace(problem), ElasticPrior(), backend="opengl")
+    np.testing.assert_array_equal(again.displacement, first.displacement)
+    pair_grid = (-(-problem.shape[1] // 2), problem.shape[0])
+    assert [size for size in written if size == pair_grid] == [pair_grid]
+    solve(replace(problem, stiffness=2 * problem.stiffness), ElasticPrior(), backend="opengl")
+    on_compute_thread(lambda: the_device().forget_model())
     assert ledger.left == 0
 
 

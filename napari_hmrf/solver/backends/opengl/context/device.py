@@ -58,6 +58,8 @@ class Device:
         1 on a GPU, because a GPU needs many invocations.
     lost : bool
         True after the device was released, for example after an error.
+    kept_model : GLModel or None
+        Model of the last image, for the next solve of the same tissue.
     """
 
     def __init__(self) -> None:
@@ -76,6 +78,7 @@ class Device:
         self.software = is_software_renderer(self.renderer)
         self.rows = 4 if self.software else 1
         self.lost = False
+        self.kept_model: Any = None
         self._programs: dict[Any, Program] = {}
         self._volume_programs: dict[Any, VolumeProgram] = {}
         self._checked: set[str] = set()
@@ -217,6 +220,12 @@ class Device:
             for made in objects:
                 made.release()
 
+    def forget_model(self) -> None:
+        """Free the textures of the kept model."""
+        kept, self.kept_model = self.kept_model, None
+        if kept is not None:
+            kept.free()
+
     def check(self, doing: str) -> None:
         """Release the device and raise `BackendError` if OpenGL has reported an error.
 
@@ -248,7 +257,7 @@ class Device:
         """Destroy the context and all its objects; a second call has no effect."""
         if self.lost:
             return
-        self.lost = True
+        self.lost, self.kept_model = True, None
         for program in self._programs.values():
             program.release()
         for volume_program in self._volume_programs.values():

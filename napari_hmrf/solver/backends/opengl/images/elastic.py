@@ -56,20 +56,21 @@ class GLElasticModel(GLModel):
     Parameters
     ----------
     passes : Passes
-        Runner of the model's kernels; `close` frees its textures.
-    material : ElasticMaterial
+        Runner of the model's kernels; `free` frees its textures.
+    host : LinearModel
+        Result of `host_of`.
     """
 
-    def __init__(self, passes: Passes, material: ElasticMaterial) -> None:
-        host = _host(material)
+    def __init__(self, passes: Passes, host: LinearModel) -> None:
+        shape = host.material.shape
         super().__init__(
-            passes, host, [GLElasticLevel(passes, level, material.shape) for level in host.levels]
+            passes, host, [GLElasticLevel(passes, level, shape) for level in host.levels]
         )
 
-
-def _host(material: ElasticMaterial) -> LinearModel:
-    """Return the model on the host, which uses NumPy until the compiled loops are ready."""
-    return model_of_loops(material) if loops.in_use() else elastic.the_model(material)
+    @staticmethod
+    def host_of(material: ElasticMaterial) -> LinearModel:
+        """Return the model on the host, which uses NumPy until the compiled loops are ready."""
+        return model_of_loops(material) if loops.in_use() else elastic.the_model(material)
 
 
 def model_of_loops(material: ElasticMaterial) -> LinearModel:

@@ -2,24 +2,33 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
 from napari_hmrf.solver.backends.earlier_results import EarlierResults
 from napari_hmrf.solver.backends.linear import Balance, HeldPlanes, LinearModel, Planes, Steps
+from napari_hmrf.solver.backends.opengl.context.pace import Pace
 from napari_hmrf.solver.backends.opengl.images.passes import Passes
 from napari_hmrf.solver.backends.opengl.images.relaxing import RelaxingLevel
+from napari_hmrf.solver.backends.opengl.programs.source import Stage
 from napari_hmrf.solver.backends.rigid.bodies import Bodies
 from napari_hmrf.solver.backends.rigid.deflation import Deflation
+
+# Largest number of sites of a kept model, which takes about 130 bytes per site.
+_MOST_KEPT = 4_000_000
 
 
 class GLModel:
     """Model with levels on the device; `LinearModel` documents the methods.
 
+    The device keeps the model after a solve, so that the next solve of the same tissue copies
+    nothing to the device but the residual.
+
     Parameters
     ----------
     passes : Passes
-        Runner of the model's kernels; `close` frees its textures.
+        Runner of the model's kernels; `free` frees its textures.
     host : LinearModel
         Model of the same tissue on the host.
     levels : sequence of RelaxingLevel
@@ -28,13 +37,32 @@ class GLModel:
 
     def __init__(self, passes: Passes, host: LinearModel, levels: Sequence[RelaxingLevel]) -> None:
         self._passes, self._host, self.levels = passes, host, levels
-        self.bounds = host.bounds
+        self._material, self.bounds = host.material, host.bounds
+        # Identifies the prescribed components that the levels have; None if they have none.
+        self._held_since: EarlierResults | None = None
+
+    def serves(self, host: LinearModel, stage: Stage) -> bool:
+        """Return whether the levels are those of a model on the host, for a shader stage."""
+        is_same = host is self._host and host.material is self._material
+        return is_same and stage == self._passes.stage
+
+    def resume(self, pace: Pace) -> None:
+        """Use the model for another solve, with its scheduler of batches."""
+        self._passes.pace = pace
+
+    def free(self) -> None:
+        """Free all textures of the model."""
+        self._passes.close()
 
     def hold(self, held: HeldPlanes) -> None:
         """Set the prescribed components on all levels."""
         self._host.hold(held)
+        if self._held_since is self._host.earlier:
+            return
+        self._held_since = None  # set only at the end, because of cancellation
         for level in self.levels:
             level.hold()
+        self._held_since = self._host.earlier
 
     @property
     def material(self) -> Any:
@@ -106,8 +134,10 @@ class GLModel:
         """Ignore the call, because only rigid tissue and double precision require this method."""
 
     def clear_cache(self) -> None:
-        """Ignore the call, because no vector on the device outlives a solve."""
+        """Remove the model from the device, because vectors may contain non-finite values."""
+        self._passes.device.forget_model()
 
     def close(self) -> None:
-        """Free all textures of the model."""
-        self._passes.close()
+        """Keep the model for the next solve, unless it takes too much memory."""
+        if math.prod(self.shape) > _MOST_KEPT:
+            self.clear_cache()

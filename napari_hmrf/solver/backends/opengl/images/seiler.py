@@ -106,12 +106,12 @@ class GLSeilerModel(GLModel):
     Parameters
     ----------
     passes : Passes
-        Runner of the model's kernels; `close` frees its textures.
-    material : SeilerMaterial
+        Runner of the model's kernels; `free` frees its textures.
+    host : LinearModel
+        Result of `host_of`.
     """
 
-    def __init__(self, passes: Passes, material: SeilerMaterial) -> None:
-        host = _host(material)
+    def __init__(self, passes: Passes, host: LinearModel) -> None:
         super().__init__(passes, host, [GLSeilerLevel(passes, level) for level in host.levels])
 
     @property
@@ -124,11 +124,11 @@ class GLSeilerModel(GLModel):
         """
         return bool(self.material.blanket and self._passes.device.software)
 
+    @staticmethod
+    def host_of(material: SeilerMaterial) -> LinearModel:
+        """Return the model on the host, which uses NumPy until the compiled loops are ready."""
+        if loops.in_use():
+            from napari_hmrf.solver.backends.cpu import seiler_model  # heavy: numba
 
-def _host(material: SeilerMaterial) -> LinearModel:
-    """Return the model on the host, which uses NumPy until the compiled loops are ready."""
-    if loops.in_use():
-        from napari_hmrf.solver.backends.cpu import seiler_model  # heavy: numba
-
-        return seiler_model.the_model(material)
-    return seiler.the_model(material)
+            return seiler_model.the_model(material)
+        return seiler.the_model(material)
