@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -59,13 +60,14 @@ class SmallLevels:
         starts = np.cumsum([0, *((arrays + planes) * height * width for height, width in shapes)])
         self._values: Vector = np.zeros(starts[-1], dtype=np.float32)
         self._table = np.array([(*grid, start) for grid, start in zip(grids, starts, strict=False)])
-        self.levels, memories = [], []
+        self.levels, self._pairs = [], []
         for grid, shape, start in zip(grids, shapes, starts, strict=False):
             size = (arrays + planes) * shape[0] * shape[1]
-            memories.append(_memory(self._values[start : start + size].reshape(-1, *shape)))
-            self.levels.append(level(grid, memories[-1]))
-        self._pair = memories[0]["correction"], memories[0]["other"]
-        self.levels[0].cycle_to_coarsest = self.cycle
+            memory = _memory(self._values[start : start + size].reshape(-1, *shape))
+            self._pairs.append((memory["correction"], memory["other"]))
+            self.levels.append(level(grid, memory))
+        for number, made in enumerate(self.levels):
+            made.cycle_to_coarsest = partial(self.cycle, number)
 
     def copy(self) -> SmallLevels:
         """Return a copy of all levels."""
@@ -73,17 +75,18 @@ class SmallLevels:
         np.copyto(made._values, self._values)
         return made
 
-    def cycle(self, steps: Steps, coarsest: Steps) -> Vector:
-        """Run a V-cycle and return the correction of the finest small level."""
+    def cycle(self, first: int, steps: Steps, coarsest: Steps) -> Vector:
+        """Run a V-cycle from a small level, 0 for the finest, and return its correction."""
         self._cycle(
             self._values,
-            self._table,
+            self._table[first:],
             paces_of(steps, from_zero=True),
             paces_of(steps, from_zero=False),
             paces_of(coarsest, from_zero=True),
         )
-        number = len(coarsest) if len(self.levels) == 1 else 2 * len(steps)
-        found: Vector = self._pair[0 if number % 2 == 1 else 1]
+        is_last = first == len(self.levels) - 1
+        number = len(coarsest) if is_last else 2 * len(steps)
+        found: Vector = self._pairs[first][0 if number % 2 == 1 else 1]
         return found
 
 

@@ -13,8 +13,10 @@ ScalarType = TypeVar("ScalarType")
 class CycleLevel(Generic[ScalarType]):
     """Base class of levels on the device; `LinearLevel` documents the methods."""
 
-    #: False because `finish` does not visit coarser levels.
-    finishes_cycle = False
+    @property
+    def finishes_cycle(self) -> bool:
+        """True if `finish` also processes all coarser levels; by default, False."""
+        return False
 
     def descend(self, steps: Steps, coarse: Self | None, again: bool = False) -> None:
         """Smooth the correction, and restrict the residual to the load of `coarse`.

@@ -24,6 +24,8 @@ from napari_hmrf.solver.backends.opengl.scalars import Ratio, values_of
 
 # Width of the border of zeros around planes, in sites.
 _PAD = 2
+# Side of the blocks after the first reduction: fewer passes, each with fewer invocations.
+_LATER_BLOCK = 16
 
 
 class Vector:
@@ -247,18 +249,18 @@ class GLLevel(CycleLevel[Scalar]):
         then: str,
         then_defines: dict[str, int],
     ) -> Scalar:
-        """Reduce blocks of texels with the kernel `first`, then repeatedly with `then`."""
-        name, defines, grid = first, first_defines, self._pairs
+        """Reduce blocks of texels with the kernel `first`, then larger blocks with `then`."""
+        name, defines, grid, block = first, first_defines, self._pairs, BLOCK
         while True:
-            rows, cols = (-(-size // BLOCK) for size in grid)
+            rows, cols = (-(-size // block) for size in grid)
             grid = rows, cols
             scalar = Scalar(self._scalar_texture(), self._spare_scalars) if grid == (1, 1) else None
             output = scalar.texture if scalar else self._block(grid)
-            program = self._passes.program(name, {"BLOCK": BLOCK, **defines})
+            program = self._passes.program(name, {"BLOCK": block, **defines})
             self._passes.run(program, inputs, [output], grid)
             if scalar:
                 return scalar
-            name, defines, inputs = then, then_defines, [output]
+            name, defines, inputs, block = then, then_defines, [output], _LATER_BLOCK
 
     def _scalar_texture(self) -> Any:
         return self._spare_scalars.pop() if self._spare_scalars else self._passes.empty((1, 1), 1)

@@ -7,16 +7,18 @@ read, and the restriction of the residual.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.solver.backends.base import FloatArray
 from napari_hmrf.solver.backends.linear import Steps
 from napari_hmrf.solver.backends.opengl.images.level import GLLevel, Scalar, Vector, stored_planes
 from napari_hmrf.solver.backends.opengl.images.passes import Passes
 from napari_hmrf.solver.backends.opengl.programs.programs import Uniforms
+from napari_hmrf.solver.backends.planes import inside
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -24,6 +26,8 @@ Float64Array = npt.NDArray[np.float64]
 # single pass with a dense matrix, which is faster.
 _FEW_VALUES = 128
 _FEW_STEPS = 2
+# Largest number of values of a level from which the rest of a cycle is run as a single pass.
+_FEW_TO_FINISH = 800
 
 #: Levels with fewer sites are visited only once in a cycle.
 WORTH_AGAIN = 40_000
@@ -94,6 +98,19 @@ class RelaxingLevel(GLLevel):
         self._matrices.clear()
 
     @property
+    def finishes_cycle(self) -> bool:
+        """True if `finish` also processes all coarser levels, as those of the host can."""
+        is_small = 4 * math.prod(self._pairs) <= _FEW_TO_FINISH
+        return is_small and bool(self._host.finishes_cycle)
+
+    def finish(self, steps: Steps, coarsest: Steps) -> None:
+        """Compute the correction, on all coarser levels in a single pass if that is possible."""
+        if self.finishes_cycle:
+            self._apply_matrix(("cycle", steps, coarsest), lambda: self._cycle(steps, coarsest))
+        else:
+            super().finish(steps, coarsest)
+
+    @property
     def is_revisited(self) -> bool:
         """True if a second visit within a cycle is worth its cost.
 
@@ -160,10 +177,13 @@ class RelaxingLevel(GLLevel):
         last.turn()
 
     def _relax_at_once(self, steps: Steps) -> None:
-        """Run all steps from zero as a single pass that multiplies the load by a matrix."""
-        key = tuple(steps)
+        """Run all steps from zero as a single pass."""
+        self._apply_matrix(tuple(steps), lambda: self._smoother(steps))
+
+    def _apply_matrix(self, key: Any, matrix_of: Callable[[], Any]) -> None:
+        """Multiply the load by a matrix, which is computed once for its key, in a single pass."""
         if key not in self._matrices:
-            matrix = self._smoother(steps)
+            matrix = matrix_of()
             count = matrix.shape[0] // 4
             texels = matrix.reshape(count, 4, -1).swapaxes(1, 2)
             self._matrices[key] = self._passes.texture(texels.astype(np.float32))
@@ -171,6 +191,21 @@ class RelaxingLevel(GLLevel):
         inputs, outputs = [self.load.texture, self._matrices[key]], [self.correction.other]
         self._passes.run(program, inputs, outputs, self._pairs)
         self.correction.turn()
+
+    def _cycle(self, steps: Steps, coarsest: Steps) -> FloatArray:
+        """Return the matrix that maps a load to the correction after a cycle from this level.
+
+        Each column is the correction that the host computes for a unit load.
+        """
+        host, (rows, cols) = self._host, self._pairs
+        made = np.zeros((rows, cols, 2, 2, rows, cols, 2, 2), np.float32)
+        for component, row, col in np.argwhere(inside(host.inverse) > 0):
+            host.load.fill(0)
+            inside(host.load)[component, row, col] = 1
+            host.finish(steps, coarsest)
+            column = stored_planes(host.correction).reshape(rows, cols, 2, 2)
+            made[..., row, col // 2, col % 2, component] = column
+        return made.reshape(4 * rows * cols, -1)
 
     def _smoother(self, steps: Steps) -> Float64Array:
         """Return the matrix that maps a load to the correction after all steps from zero."""
