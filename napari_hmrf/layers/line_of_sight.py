@@ -95,6 +95,14 @@ class LineOfSight:
         found = min(away, key=lambda point: away[point], default=None)
         return found if found is not None and away[found] <= reach else None
 
+    def is_hidden(self, point: Point, seen: Point, margin: float) -> bool:
+        """Return whether a point lies behind the point that is seen, by more than a margin.
+
+        The margin is in the unit of the spacing.
+        """
+        behind = (np.asarray(point) - np.asarray(seen)) * self.spacing
+        return float(behind @ self.ahead) > margin
+
     def beside(self, point: Point, ahead: Array) -> Point:
         """Return the point of the line on the plane through a point, perpendicular to `ahead`."""
         from_start = (np.asarray(point) - self.start) * self.spacing

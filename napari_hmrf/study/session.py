@@ -375,6 +375,8 @@ class Session(EditHistory):
         before, self.image = self.image, image
         if image is not before:
             self.image_is_gone = is_gone
+            if is_gone:
+                self.choose_display(in_colours=False)
             self.selected.emit(image, before)
 
     def select_slice(self, image: Hashable | None, frame: Frame | None = None) -> None:

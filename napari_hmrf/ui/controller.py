@@ -336,6 +336,16 @@ class Controller:
         counts = self.session.model.unfolds and unfolds_quickly(study)
         self.engine.submit(study, self.session.display.device, counts_folds=counts, **how)
 
+    def unfold_latest(self) -> None:
+        """Let large motion take over if the latest result folds, once it is prepared."""
+        latest, study = self.session.result_here, self.session.study
+        if latest is None or study is None or self.busy or not self.session.is_fresh:
+            return
+        is_elastic = self.session.model.name == "elastic" and self.session.model.unfolds
+        folds = "folds" in messages.marks_of(latest.outputs)
+        if is_elastic and folds and unfolds_quickly(study):
+            self._unfold(replace(latest.moved, settled=False))
+
     def _unfold(self, moved: Deformation) -> None:
         """Choose large motion, because the elastic tissue of an answer folds, and solve again."""
         self.session.unfold()
@@ -358,7 +368,9 @@ class Controller:
         if not self.session.is_here(moved.study):
             return
         self.progress.restart()
-        if moved.folds:
+        # A second image with noise folds a few sites in the elastic model; see `HANDFUL`.
+        is_measured = moved.study.motion.measured is not None
+        if moved.folds > (messages.HANDFUL if is_measured else 0):
             self._unfold(moved)
             return
         if moved.error is not None and self._has_taken_over(moved.study):

@@ -31,7 +31,7 @@ class Preparation:
     def __init__(self, native: QWidget, controller: Controller) -> None:
         self._controller = controller
         self._requested: list[str] = []
-        self._timer = repeating(native, _INTERVAL, self._update)
+        self._timer = repeating(native, _INTERVAL, self.update)
         controller.slice_changed.connect(self._on_slice)
 
     def release(self) -> None:
@@ -42,7 +42,8 @@ class Preparation:
         if not are_compiled(sets.EVERYTHING):
             self._timer.start()
 
-    def _update(self) -> None:
+    def update(self) -> None:
+        """Request what the session needs, show the bar, and use what has become ready."""
         study, form = self._controller.session.study, self._controller.form
         if study is None:
             return
@@ -54,6 +55,7 @@ class Preparation:
         compiler.compile_meanwhile()
         is_shown = bool(missing) and compiler.is_compiling()
         form.footer.show_preparation(compiler.progress(*needed) if is_shown else None)
+        self._controller.unfold_latest()
         if are_compiled(sets.EVERYTHING):
             self._timer.stop()
 

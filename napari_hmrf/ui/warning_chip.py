@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from psygnal import Signal
@@ -52,7 +53,7 @@ class WarningChip:
             details = model.in_detail
             details["budget"].value = larger_budget(details["budget"].value)
         elif offer == messages.OFFER:
-            model.model.value = "large motion"
+            self._session.choose_model(replace(self._session.model, name="large motion"))
         elif offer == messages.BACK:
             self._session.use_elastic()
 

@@ -121,9 +121,12 @@ def test_elastic_folds_are_shown_until_large_motion_is_prepared(dock, do_and_wai
     folded = do_and_wait(grows.write, "150")
     assert dock.model == "elastic"
     assert folded.count_folds() > 5
-    assert offers(dock, "Use large motion")
+    do_and_wait(Screen(dock).press, "Use large motion")
+    assert dock.model == "large motion"
+    do_and_wait(dock.undo)
+    assert (dock.model, dock.unfolds) == ("elastic", True)
     prepared.add("large-motion")
-    mended = do_and_wait(grows.write, "140")
+    mended = do_and_wait(dock._preparation.update)
     assert dock.model == "large motion"
     assert mended.count_folds() == 0
 

@@ -336,6 +336,18 @@ def test_a_removed_second_image_ends_the_comparison(compared, wait_for):
     assert dock.image is before
 
 
+def test_a_removed_image_ends_the_comparison(compared, wait_for):
+    """A study opened next would be compared with nothing, in one colour."""
+    viewer, dock, before, after = compared
+    dock.compare_with = after
+    wait_for(lambda: not dock.busy)
+    assert dock.in_colours
+    viewer.layers.remove(before)
+    assert not dock.in_colours
+    wait_for(lambda: not dock.busy)
+    assert after.colormap.name == "gray"
+
+
 def test_choosing_another_image_restores_colours_and_hides_residuals(compared, wait_for):
     viewer, dock, before, after = compared
     dock.drawing = Drawing((Landmark((20, 20), (22.0, 20.0), 2.0),))

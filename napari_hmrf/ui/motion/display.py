@@ -143,6 +143,12 @@ class Display:
             return None
         return cut_of(layer, moved.study.grid.known_place, View.of(self._viewer.dims))
 
+    @property
+    def hides_inside(self) -> bool:
+        """True if the 3-D view shows a surface or a cut plane, behind which nothing is seen."""
+        layer = self.visible_image
+        return layer is not None and (self.cut is not None or str(layer.rendering) == "iso")
+
     def tissue_on(self, line: LineOfSight) -> Point | None:
         """Return the point where a line of sight meets visible tissue, or None.
 

@@ -309,11 +309,17 @@ class Pointer:
         if moved is None or moved.ground is None:
             self.message.emit(motion_messages.PREPARING)
             return None
+        seen, hides = self.display.tissue_on(line), self.display.hides_inside
         end, spacing = None, moved.study.grid.spacing
         if reach is not None and (picks or self.tool.grabs_ends):
-            ends = (end for mark in self.drawing.marks for end in ends_of(mark, spacing))
+            ends = [
+                end
+                for mark in self.drawing.marks
+                for end in ends_of(mark, spacing)
+                if not (hides and seen is not None and line.is_hidden(end, seen, mark.radius))
+            ]
             end = line.nearest(ends, reach)
-        return self.display.tissue_on(line) if end is None else end
+        return seen if end is None else end
 
     def press(self, point: Point, reach: float) -> None:
         """Begin a drag with the tool if the tissue is ready and visible."""

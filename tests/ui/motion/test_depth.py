@@ -8,6 +8,7 @@ import pytest
 from qtpy.QtCore import Qt
 from qtpy.QtWidgets import QToolButton
 
+from napari_hmrf import Arrow, Drawing
 from napari_hmrf.layers.compat import camera_of
 from napari_hmrf.results.tissue_point import rounded
 from tests.support.person import only
@@ -64,6 +65,22 @@ def test_a_press_on_a_surface_passes_darker_tissue_in_front_of_it(beside):
     person.viewer.layers["MR deformed, elastic"].data = layer.data
     person.press(*MIDDLE)
     assert only(widget).at == pytest.approx((8, 11.5, 13.5), abs=0.6)
+
+
+def test_a_press_on_a_surface_leaves_a_mark_behind_it_alone(beside):
+    person, widget = beside
+    layer = person.viewer.layers["MR"]
+    layer.rendering, layer.iso_threshold = "iso", 100
+    widget.drawing = Drawing((Arrow((12.0, 11.5, 13.5), (0, 1, 0), 2.0),))
+    person.press(*MIDDLE)
+    mark, pulled = widget.drawing.marks
+    assert mark.at == (12.0, 11.5, 13.5)
+    assert pulled.at == pytest.approx((TOP, 11.5, 13.5), abs=0.6)
+    person.release(*MIDDLE)
+    layer.rendering = "mip"
+    widget.drawing = Drawing((mark,))
+    person.press(*MIDDLE)
+    assert len(widget.drawing.marks) == 1, "a mark that is seen through the volume is grabbed"
 
 
 def test_a_drag_moves_tissue_parallel_to_the_screen(beside, settle):
