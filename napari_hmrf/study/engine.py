@@ -243,7 +243,9 @@ class Engine:
         if update.final and error is None:
             self.report(DRAWING)
         if solution is not None or isinstance(error, _StillError):
-            if solution is not None and request.ground is not None and self._counts_folds:
+            # A preview may fold where the solution does not.
+            counts = self._counts_folds and update.final
+            if solution is not None and request.ground is not None and counts:
                 folds = request.ground.without_air(solution).count_folds()
                 request = replace(request, folds=folds)
             answer = self._moved_by(solution, request)

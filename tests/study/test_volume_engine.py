@@ -218,3 +218,21 @@ def test_a_preview_weighs_an_uncertain_landmark_like_the_full_grid():
     assert reached == pytest.approx([reached[1]] * 2, rel=0.35)
     assert reached[1] > 0.5
     assert coarse.stated.problem.landmarks.sd[0] == pytest.approx(0.05)
+
+
+def test_only_the_folds_of_a_solution_are_counted_not_those_of_its_preview(monkeypatch):
+    monkeypatch.setattr(live_solver, "PATIENCE", 0.0)
+    pull = Arrow((20.0, 20.0), (0.0, 16.0), 3.0)
+    motion = Motion(hold_edge=True, drawing=Drawing((pull,)))
+    study = Study(Grid((40, 40), (1.0, 1.0)), Tissue(stiffness=np.ones((40, 40))), motion)
+    delivered = []
+    engine = Engine(delivered.append, "a test")
+    try:
+        engine.submit(study, counts_folds=True)
+        assert engine.live.wait(60)
+    finally:
+        engine.close()
+    first, *_, last = delivered
+    assert first.solution.count_folds() > 0
+    assert first.folds == 0
+    assert last.folds == last.solution.count_folds() > 0
