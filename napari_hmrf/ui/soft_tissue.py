@@ -330,7 +330,8 @@ class SoftTissue(DockValues):
         curve = curve or self._form.tissue.brightness_curve or self._controller.reader.first_curve()
         self.curve = curve
         self._controller.refresh()
-        if (layer := self._controller.curve_layer.layer) is not None:
+        layer = self._controller.curve_layer.layer
+        if layer is not None and not self.active:  # a tool would be put away
             self._viewer.layers.selection.active = layer
         self.show_message(messages.CURVE)
         return curve

@@ -57,6 +57,13 @@ def slide(widget, part):
     QTest.mouseClick(slider, LEFT, Qt.KeyboardModifier.NoModifier, place)
 
 
+def test_tissue_from_brightness_leaves_the_tool_active(pulling_beside, settle):
+    _, widget = pulling_beside
+    widget.tissue_from_intensity()
+    settle(widget)
+    assert widget.active
+
+
 def test_pressing_a_tool_again_leaves_it_active(pulling_beside, at_rest, click):
     person, widget = pulling_beside
     for title in ("Pull", "Hold"):
