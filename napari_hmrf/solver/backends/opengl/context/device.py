@@ -76,7 +76,7 @@ class Device:
         self.largest_buffer = int(info.get("GL_MAX_SHADER_STORAGE_BLOCK_SIZE", 0))
         self.most_buffers = int(info.get("GL_MAX_COMPUTE_SHADER_STORAGE_BLOCKS", 0))
         self.software = is_software_renderer(self.renderer)
-        self.rows = 4 if self.software else 1
+        self.rows = 8 if self.software else 1
         self.lost = False
         self.kept_model: Any = None
         self._programs: dict[Any, Program] = {}

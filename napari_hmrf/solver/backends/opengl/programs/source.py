@@ -23,7 +23,7 @@ STAGES: tuple[str, ...] = get_args(Stage)
 Define = int
 
 #: Size of a compute work group in texels, (rows, cols).
-GROUP = (8, 8)
+GROUP = (16, 8)
 
 #: GLSL version of each stage.
 VERSIONS = {"vertex": 330, "fragment": 330, "compute": 430}
