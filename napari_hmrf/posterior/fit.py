@@ -653,8 +653,7 @@ class _Fitter:
                 value, ends = reference * math.exp(value), reference * np.exp(ends)
             found[each.kind][each.label] = FittedProperty(float(value), sd, tuple(ends.tolist()))
         pair = self._data if isinstance(self._data, ImagePairData) else None
-        moved = state.solution.displacement
-        alike = [None if pair is None else pair.similarity(each) for each in (0 * moved, moved)]
+        alike = (None, None) if pair is None else pair.similarities(state.solution.displacement)
         freedom = max(1, state.differences.size - len(values))
         return Fit(
             found["stiffness"],

@@ -138,13 +138,17 @@ class ImagePairData:
         factor = np.sqrt(np.maximum(1, independent / np.maximum(np.diag(found), _TINY)))
         return np.asarray(found * np.outer(factor, factor))
 
-    def similarity(self, displacement: npt.NDArray[np.floating]) -> float:
-        """Return the similarity of the images at a displacement, as a registration reports it."""
+    def similarities(self, displacement: npt.NDArray[np.floating]) -> tuple[float, float]:
+        """Return the similarity of the images without and with a displacement.
+
+        The similarity is that which a registration reports.
+        """
         images, spacing = self._images, tuple((self._spacing / self._size).tolist())
         level = ImageLevel(
             images.fixed, images.moving, images.counted, 1, spacing, self._checkpoint
         )
-        return level.agreement(displacement)[1]
+        before, after = (level.agreement(each)[1] for each in (0 * displacement, displacement))
+        return before, after
 
     def _residuals(self, displacement: npt.NDArray[np.floating]) -> Float64Array:
         moved, weight = self._warped(displacement)

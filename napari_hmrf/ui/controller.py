@@ -368,9 +368,7 @@ class Controller:
         if not self.session.is_here(moved.study):
             return
         self.progress.restart()
-        # A second image with noise folds a few sites in the elastic model; see `HANDFUL`.
-        is_measured = moved.study.motion.measured is not None
-        if moved.folds > (messages.HANDFUL if is_measured else 0):
+        if moved.folds:
             self._unfold(moved)
             return
         if moved.error is not None and self._has_taken_over(moved.study):

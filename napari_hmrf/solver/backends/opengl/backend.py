@@ -201,9 +201,9 @@ class OpenGLBackend:
     def elastic_model(self, material: ElasticMaterial) -> LinearModel:
         """Build the linear model of an elastic image or volume.
 
-        For images, the levels are copied from a model on the host, unless the device has them
-        from the last solve. There are no shaders for a data
-        term, so compiled loops solve the steps in which observations that slip are springs.
+        For images, the levels are copied from a model on the host, unless the device has them from
+        the last solve. There are no shaders for a data term, so compiled loops solve the steps in
+        which observations that slip are springs.
         """
         if material.data is not None:
             return model_of_loops(material)
