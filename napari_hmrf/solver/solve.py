@@ -30,7 +30,12 @@ from napari_hmrf.errors import (
 )
 from napari_hmrf.solver.backends import BACKEND_NAMES, host
 from napari_hmrf.solver.backends.base import Backend
-from napari_hmrf.solver.backends.choice import Choice, open_backend
+from napari_hmrf.solver.backends.choice import (
+    Choice,
+    failure_of_shaders,
+    open_backend,
+    use_loops_after,
+)
 from napari_hmrf.solver.backends.earlier_results import WarmStart
 from napari_hmrf.solver.backends.job import SolveJob
 from napari_hmrf.solver.caveats import rigid_caveat
@@ -375,6 +380,26 @@ def _solution_of(
     progress: Progress | None,
     initial: Initial | None,
 ) -> Solution:
+    """Solve with the backend; if shaders that nobody has requested fail, with the loops."""
+    given = problem, prior, optimizer, backend, progress, initial
+    before = failure_of_shaders()
+    try:
+        return _solution_by(*given)
+    except BackendError as error:
+        if failure_of_shaders() is before:
+            raise
+        _log.warning("%s The compiled loops are used instead.", error)
+        return _solution_by(*given)
+
+
+def _solution_by(
+    problem: Problem,
+    prior: Prior | None,
+    optimizer: Optimizer | None,
+    backend: str,
+    progress: Progress | None,
+    initial: Initial | None,
+) -> Solution:
     """Prepare the backend, run the schedule, and record the run."""
     begun = time.perf_counter()
     check_memory(problem, prior)
@@ -433,8 +458,7 @@ def _solution_of(
     with open_device(problem, prior, optimizer, backend, progress) as (choice, report):
         ready = time.perf_counter()
         reported = _mapped(report, solution_of)
-        outcome = _run(optimizer, problem, prior, choice.backend, reported, begin)
-    solution = solution_of(outcome)
+        solution = solution_of(_run(optimizer, problem, prior, choice.backend, reported, begin))
     return solution if initial is None else nearest_to_targets(solution, initial)
 
 
@@ -479,6 +503,10 @@ def open_device(
         prepare(choice.backend, job, optimizer, report)
         with loop_watch("", report):  # loops for tissue on which cycles converge slowly
             yield choice, report
+    except BackendError as error:
+        if backend == "auto" and choice.backend.name != "cpu":
+            use_loops_after(error)
+        raise
     finally:
         choice.backend.close()
 

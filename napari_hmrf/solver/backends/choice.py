@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from napari_hmrf.compute.compile_cache import compiler, loops
+from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.errors import BackendError
 from napari_hmrf.solver.backends import BACKEND_NAMES
 from napari_hmrf.solver.backends.base import Backend, Checkpoint
@@ -21,6 +22,8 @@ COMPILING = "until the loops for the processor are compiled"
 LARGE_VOLUME = 1_000_000
 # Environment variable with which numba runs loops as Python functions.
 _NO_COMPILER = "NUMBA_DISABLE_JIT"
+# Reason why "auto" uses the loops after shaders failed in a solve.
+_failed: Kept[str] = Kept()
 
 
 class Choice(NamedTuple):
@@ -93,6 +96,16 @@ def open_backend(
     return _fastest(job, checkpoint, provide_loops)
 
 
+def use_loops_after(error: BackendError) -> None:
+    """Use the loops in all later solves with "auto", because shaders failed in a solve."""
+    _failed.value = f"the shaders failed in an earlier solve ({error})"
+
+
+def failure_of_shaders() -> str | None:
+    """Return why "auto" uses the loops since shaders failed in a solve, or None."""
+    return _failed.value
+
+
 def _fastest(job: SolveJob, checkpoint: Checkpoint, provide_loops: Callable[[], None]) -> Choice:
     """Choose between shaders and loops, which both support the job but perhaps not its size."""
     from napari_hmrf.solver.backends.opengl import (  # heavy: opengl
@@ -101,6 +114,9 @@ def _fastest(job: SolveJob, checkpoint: Checkpoint, provide_loops: Callable[[], 
     )
 
     compiled = _loops_are_ready(job)
+    if _failed.value is not None:
+        provide_loops()
+        return Choice(_compiled_loops(checkpoint), _failed.value)
     try:
         shaders = OpenGLBackend(checkpoint)
     except BackendError as error:

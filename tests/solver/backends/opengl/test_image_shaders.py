@@ -61,6 +61,7 @@ MORE_CASES = [
     ]
 ]
 STEPS = chebyshev(0.5, 2.0, 3)
+BOTH = ("cpu", "opengl")
 
 NAMES = ("shape", "ratio", "spacing", "prior")
 cases = pytest.mark.parametrize(NAMES, [*CASES, *MORE_CASES])
@@ -407,6 +408,23 @@ def test_auto_uses_the_shaders_on_a_gpu(monkeypatch):
     provenance = solve(torn(20.0), CENTRED, optimizer=Multigrid(), backend="auto").provenance
     assert provenance.backend.startswith("opengl:")
     assert provenance.reason == "a GPU is available"
+
+
+@pytest.mark.parametrize("fault", ["check", "canary", "texture"])
+def test_the_loops_take_over_if_the_device_fails_in_a_solve(monkeypatch, caplog, fault):
+    from napari_hmrf.solver.backends import choice, opengl
+    from napari_hmrf.solver.backends.opengl.context.device import Device
+
+    require_opengl()
+    monkeypatch.setattr(opengl, "is_software_renderer", lambda _: False)
+    monkeypatch.setattr(choice._failed, "value", None)
+    loops, _ = (solve(torn(20.0), CENTRED, optimizer=Multigrid(), backend=each) for each in BOTH)
+    monkeypatch.setattr(Device, fault, lambda device, *_: device.lose("testing"))
+    for _ in range(2):
+        found = solve(torn(20.0), CENTRED, optimizer=Multigrid(), backend="auto")
+        np.testing.assert_array_equal(found.displacement, loops.displacement)
+        assert "failed while testing" in found.provenance.reason
+    assert caplog.text.count("The compiled loops are used instead") == 1
 
 
 def test_a_warm_start_reduces_the_iterations(stage):
