@@ -103,8 +103,8 @@ def solve(
         paper. ``Multigrid()`` solves the paper's prior to the limit of infinitely many sweeps.
     backend : {"auto", "opengl", "opengl:fragment", "opengl:compute", "cpu"}
         Backend to run on. "auto" chooses the shaders on a real GPU and the compiled loops
-        otherwise, and logs the choice once. Volumes require compute shaders (OpenGL 4.3) or the
-        loops.
+        otherwise, and logs the choice once. If the shaders fail in a solve, the loops take over,
+        also for later solves. Volumes require compute shaders (OpenGL 4.3) or the loops.
     progress : callable, optional
         Called on the caller's thread with a `Monitor`: a message and the completed fraction, which
         never decreases, except that reports of the compiler have a fraction of their own. If
