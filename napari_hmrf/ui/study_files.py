@@ -119,15 +119,24 @@ class StudyFiles:
         return written
 
     def save_as(self) -> None:
-        """Prompt for a file name, and save the study."""
+        """Prompt for a file name, and save the study.
+
+        The name ends in .study, because napari opens no other file as a study.
+        """
         here = self._session.slice
         name = "study" if here.layer is None else _NO_FILE_NAME.sub("-", here.title)
         known = self._session.unsaved.paths.get(here, Path(name + SUFFIX))
         chosen, _ = QFileDialog.getSaveFileName(
             self._dock.native, "Save the study", str(known), f"Studies (*{SUFFIX})"
         )
-        if chosen:
-            self.save(chosen)
+        if not chosen:
+            return
+        path = Path(chosen)
+        if path.suffix.lower() != SUFFIX:
+            path = path.with_name(path.name + SUFFIX)
+            if path.exists():
+                raise HmrfError(f"{path.name} exists. To replace it, choose this name.")
+        self.save(path)
 
     def _set_stored(self, here: Part, path: Path) -> None:
         work = self._session.unsaved

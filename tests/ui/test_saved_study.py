@@ -367,9 +367,14 @@ def test_a_study_is_saved_before_it_has_a_result(dock, viewer, wait_for, tmp_pat
     wait_for(lambda: not dock.busy)
     dock.drawing = DRAWING
     assert dock.solution is None
-    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(path), ""))
+    typed = iter([path, path.with_suffix(""), path.with_suffix(".zip")])
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(next(typed)), ""))
     screen.press("Save study ...")
     assert dock.status.startswith("Saved begun.study without a field")
+    screen.press("Save study ...")
+    assert "begun.study exists" in dock.status
+    screen.press("Save study ...")
+    assert "Saved begun.zip.study" in dock.status, "napari opens no study of another ending"
     study, solution = read_study(path)
     assert solution is None
     assert study.motion.drawing == DRAWING
