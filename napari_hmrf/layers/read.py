@@ -395,7 +395,7 @@ def study_layers(study: Study, second: SecondPicture | None = None) -> dict[str,
     if pictures.image is not None:
         add("image", pictures.name or "image", pictures.image, pictures.look, role=IMAGE)
     if second is not None:
-        layers["second"] = Layer.create(*second_layer(second, frame))
+        layers["second"] = Layer.create(*second_layer(second, frame, layers.get("image")))
     known = {"role": TISSUE, "unit": tissue.unit}
     if tissue.labels is not None:
         look = {"opacity": 0.4, **pictures.labels_look}

@@ -86,10 +86,20 @@ def second_picture(
     return SecondPicture(sampled.reshape(shape), known.reshape(shape), str(layer.name))
 
 
-def second_layer(picture: SecondPicture, frame: Frame) -> LayerData:
-    """Return the data of a hidden layer with a second image; pixels that are not known are NaN."""
+def second_layer(picture: SecondPicture, frame: Frame, first: Any = None) -> LayerData:
+    """Return the data of a hidden layer with a second image; pixels that are not known are NaN.
+
+    The layer has the contrast limits of the layer of the first image if they suit it, so that equal
+    brightness looks equal.
+    """
     pixels = np.where(picture.known, picture.pixels, np.nan).astype(np.float32)
-    return layer_on(frame, pixels, picture.name or "second image", {}, {"visible": False})
+    own: dict[str, Any] = {"visible": False}
+    if first is not None and not first.rgb and picture.known.any():
+        low, high = first.contrast_limits
+        darkest, brightest = float(np.nanmin(pixels)), float(np.nanmax(pixels))
+        if low <= darkest and brightest <= high and 2 * (brightest - darkest) > high - low:
+            own["contrast_limits"] = (low, high)
+    return layer_on(frame, pixels, picture.name or "second image", {}, own)
 
 
 def _brightness(layer: Any, pixels: Any) -> npt.NDArray[np.float32]:

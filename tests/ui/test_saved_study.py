@@ -157,6 +157,7 @@ def test_the_second_image_is_saved_with_a_study_and_opened_with_it(
     second = dock.compare_with
     assert (dock.image.name, second.name, second.visible) == ("before", "after", False)
     np.testing.assert_array_equal(second.data, pixels[1])
+    assert second.contrast_limits == after.contrast_limits, "equal brightness looks equal"
     np.testing.assert_allclose(second.data_to_world((3, 4)), after.data_to_world((3, 4)))
     second.translate = (1000, 0)
     again = dock.save_study(tmp_path / "again")
