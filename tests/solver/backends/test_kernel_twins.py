@@ -18,6 +18,7 @@ from napari_hmrf.solver.backends.opengl import OpenGLBackend
 from napari_hmrf.solver.backends.opengl.context.device import the_device
 from napari_hmrf.solver.backends.opengl.images.fields import as_given, as_stored, pairs, singles
 from napari_hmrf.solver.backends.opengl.programs import regions
+from napari_hmrf.solver.backends.opengl.programs.source import GROUP
 from napari_hmrf.solver.priors import line_weights
 from napari_hmrf.solver.quadtree import levels, nearest_pixels
 from tests.support.opengl import on_compute_thread, require_opengl
@@ -264,7 +265,8 @@ def test_every_work_group_with_tissue_is_listed(across, monkeypatch):
     places = regions.groups_with(shown)
     assert places.shape[1] <= across
     listed = [tuple(place) for place in places.reshape(-1, 2)]
-    assert set(listed) == {(col // 8, row // 8) for row, col in some}
+    rows, cols = GROUP
+    assert set(listed) == {(col // cols, row // rows) for row, col in some}
     assert len(listed) < len(set(listed)) + len(places)
 
 
