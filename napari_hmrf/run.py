@@ -226,7 +226,7 @@ def _fit(options: commands.Fit) -> int:
         )
     for clause in found.described():
         print(f"fitted: {clause}")
-    if found.fit.similarity is not None:
+    if found.agreement:
         print(f"agreement of the images: {found.agreement}")
     if options.out is not None:
         print(f"written: {options.out}")

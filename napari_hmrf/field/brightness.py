@@ -94,6 +94,11 @@ def without_padding(grey: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return np.where(is_padding, grey[grey >= _LEAST_HU].min(), grey)
 
 
+def thinned(image: npt.NDArray[Any], most: int) -> npt.NDArray[Any]:
+    """Return a view of every k-th pixel along each axis, of which there are at most `most`."""
+    return image[tuple(slice(None, None, -(-size // most)) for size in image.shape)]
+
+
 def limits_without_padding(grey: npt.NDArray[Any]) -> tuple[float, float] | None:
     """Return the lowest and the highest brightness of a padded CT image, except for the padding.
 
@@ -108,6 +113,6 @@ def limits_without_padding(grey: npt.NDArray[Any]) -> tuple[float, float] | None
     tuple of float, or None
         None for other images.
     """
-    sample = grey[tuple(slice(None, None, -(-size // _SAMPLES)) for size in grey.shape)]
+    sample = thinned(grey, _SAMPLES)
     inside = without_padding(sample)
     return None if inside is sample else (float(np.nanmin(inside)), float(np.nanmax(inside)))

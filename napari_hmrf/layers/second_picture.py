@@ -86,7 +86,7 @@ def second_picture(
     return SecondPicture(sampled.reshape(shape), known.reshape(shape), str(layer.name))
 
 
-def second_layer(picture: SecondPicture, frame: Frame, first: Any = None) -> LayerData:
+def second_layer(picture: SecondPicture, frame: Frame, first: Any) -> LayerData:
     """Return the data of a hidden layer with a second image; pixels that are not known are NaN.
 
     The layer has the contrast limits of the layer of the first image if they suit it, so that equal

@@ -57,7 +57,7 @@ class ImagePairData:
     """
 
     def __init__(self, images: Images, problem: Problem, size: int, checkpoint: Checkpoint) -> None:
-        self._images, self._size = images, size
+        self._images, self._pixel = images, tuple(problem.spacing)
         self._every = (slice(None, None, size),) * images.fixed.ndim
         self._spacing = np.multiply(size, problem.spacing)
         self._tolerance, self._checkpoint = _TOLERANCE * size, checkpoint
@@ -143,10 +143,8 @@ class ImagePairData:
 
         The similarity is that which a registration reports.
         """
-        images, spacing = self._images, tuple((self._spacing / self._size).tolist())
-        level = ImageLevel(
-            images.fixed, images.moving, images.counted, 1, spacing, self._checkpoint
-        )
+        pair = self._images.fixed, self._images.moving, self._images.counted
+        level = ImageLevel(*pair, 1, self._pixel, self._checkpoint)
         before, after = (level.agreement(each)[1] for each in (0 * displacement, displacement))
         return before, after
 

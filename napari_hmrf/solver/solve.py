@@ -380,27 +380,10 @@ def _solution_of(
     progress: Progress | None,
     initial: Initial | None,
 ) -> Solution:
-    """Solve with the backend; if shaders that nobody has requested fail, with the loops."""
-    given = problem, prior, optimizer, backend, progress, initial
-    before = failure_of_shaders()
-    try:
-        return _solution_by(*given)
-    except BackendError as error:
-        if failure_of_shaders() is before:
-            raise
-        _log.warning("%s The compiled loops are used instead.", error)
-        return _solution_by(*given)
+    """Prepare the backend, run the schedule, and record the run.
 
-
-def _solution_by(
-    problem: Problem,
-    prior: Prior | None,
-    optimizer: Optimizer | None,
-    backend: str,
-    progress: Progress | None,
-    initial: Initial | None,
-) -> Solution:
-    """Prepare the backend, run the schedule, and record the run."""
+    If shaders that nobody has requested fail, the loops take over.
+    """
     begun = time.perf_counter()
     check_memory(problem, prior)
     given = prior or ElasticPrior()
@@ -455,10 +438,18 @@ def _solution_by(
             notes=(*filter(None, (rigid_caveat(whole, given),)), *joined.notes),
         )
 
-    with open_device(problem, prior, optimizer, backend, progress) as (choice, report):
-        ready = time.perf_counter()
-        reported = _mapped(report, solution_of)
-        solution = solution_of(_run(optimizer, problem, prior, choice.backend, reported, begin))
+    before = failure_of_shaders()
+    try:
+        with open_device(problem, prior, optimizer, backend, progress) as (choice, report):
+            ready = time.perf_counter()
+            reported = _mapped(report, solution_of)
+            outcome = _run(optimizer, problem, prior, choice.backend, reported, begin)
+            solution = solution_of(outcome)
+    except BackendError as error:
+        if failure_of_shaders() is before:
+            raise
+        _log.warning("%s The compiled loops are used instead.", error)
+        return _solution_of(whole, given, optimizer, backend, progress, initial)
     return solution if initial is None else nearest_to_targets(solution, initial)
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.field.brightness import without_padding
+from napari_hmrf.field.brightness import thinned, without_padding
 from napari_hmrf.notes import Note
 from napari_hmrf.tissue.normals import outside_of
 
@@ -65,8 +65,7 @@ def surface_value(volume: npt.NDArray[Any]) -> float | None:
     float or None
         None if no dark surroundings cover most of the edge of the volume.
     """
-    sample = volume[tuple(slice(None, None, -(-size // _SAMPLES)) for size in volume.shape)]
-    dark, threshold = _separated(sample, 3)
+    dark, threshold = _separated(thinned(volume, _SAMPLES), 3)
     return threshold if surrounds(dark) else None
 
 

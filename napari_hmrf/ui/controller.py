@@ -344,13 +344,13 @@ class Controller:
         is_elastic = self.session.model.name == "elastic" and self.session.model.unfolds
         folds = "folds" in messages.marks_of(latest.outputs)
         if is_elastic and folds and unfolds_quickly(study):
-            self._unfold(replace(latest.moved, settled=False))
+            self._unfold(is_settled=False)
 
-    def _unfold(self, moved: Deformation) -> None:
-        """Choose large motion, because the elastic tissue of an answer folds, and solve again."""
+    def _unfold(self, *, is_settled: bool) -> None:
+        """Choose large motion, because elastic tissue folds, and solve again as before."""
         self.session.unfold()
         self._is_new_model = True
-        if moved.settled:
+        if is_settled:
             self.solve_cold()
         else:
             self.follow_edit()
@@ -369,7 +369,7 @@ class Controller:
             return
         self.progress.restart()
         if moved.folds:
-            self._unfold(moved)
+            self._unfold(is_settled=moved.settled)
             return
         if moved.error is not None and self._has_taken_over(moved.study):
             self._take_back(moved.error)

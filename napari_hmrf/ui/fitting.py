@@ -100,7 +100,7 @@ class Fitting(PairJob):
         else:
             self._session.do_all(values, word)
         parts = [f"Fitted, with intervals of 95 %: {'; '.join(found.described())}."]
-        if found.fit.similarity is not None:
+        if found.agreement:
             parts.append(f"Agreement of the images: {found.agreement}.")
         if was_registered:
             parts.append(REMOVED)
