@@ -38,6 +38,7 @@ import scipy
 
 from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.field.neighbours import around_sites, in_elements, of_corners
+from napari_hmrf.real_arrays import are_equal
 
 Mask = npt.NDArray[np.bool_]
 Float64Array = npt.NDArray[np.float64]
@@ -124,13 +125,7 @@ class _Known(NamedTuple):
     found: Any
 
     def is_for(self, kind: object, masks: Sequence[npt.NDArray[Any] | None]) -> bool:
-        return kind == self.kind and all(map(_are_equal, self.masks, masks))
-
-
-def _are_equal(one: npt.NDArray[Any] | None, other: npt.NDArray[Any] | None) -> bool:
-    if one is None or other is None:
-        return one is other
-    return one is other or np.array_equal(one, other)
+        return kind == self.kind and all(map(are_equal, self.masks, masks))
 
 
 def _frozen(mask: npt.NDArray[Any] | None) -> npt.NDArray[Any] | None:

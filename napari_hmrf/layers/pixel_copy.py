@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from napari_hmrf.field.frame import Frame
 from napari_hmrf.layers.slice_view import copy_slice
+from napari_hmrf.real_arrays import are_equal
 from napari_hmrf.study.study import is_same
 
 T = TypeVar("T")
@@ -104,7 +105,7 @@ class _Copies:
             return known[-1]
         copy = np.array(layer.data) if own is None else copy_slice(layer, own)
         copy.setflags(write=False)
-        kept = next((each for each in known if _is_equal(each, copy)), copy)
+        kept = next((each for each in known if are_equal(each, copy)), copy)
         others = [each for each in self._slices if each[1] is not kept]
         self._slices = deque([*others, (key, kept)], maxlen=_MOST_COPIES)
         self._fresh.add(key)
@@ -112,8 +113,3 @@ class _Copies:
 
     def mark_stale(self, *_: Any) -> None:
         self._fresh.clear()
-
-
-def _is_equal(one: npt.NDArray[Any], other: npt.NDArray[Any]) -> bool:
-    same_type = one.dtype == other.dtype
-    return same_type and np.array_equal(one, other, equal_nan=one.dtype.kind == "f")

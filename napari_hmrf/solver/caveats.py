@@ -236,7 +236,7 @@ def rigid_caveat(problem: Problem, prior: Prior) -> str:
         Prior, before its method `resolved` is called.
     """
     is_large = isinstance(prior, NeoHookeanPrior)
-    if not is_large or prior.penalty is not None or not problem.rigid.any():
+    if not is_large or prior.penalty is not None or not problem.has_rigid:
         return ""
     doubted = problem.known & (problem.confidence < 1)
     count = int(doubted.any(axis=-1).sum())

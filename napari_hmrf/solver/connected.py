@@ -131,7 +131,7 @@ def connected(problem: Problem, prior: Prior | None) -> Connected:
     if isinstance(prior, SeilerPrior):
         solved, of_components, extension, acts, bridges = _of_cliques(problem, prior)
     else:
-        found = followers_of(problem.tissue, None, problem.rigid if problem.rigid.any() else None)
+        found = followers_of(problem.tissue, None, problem.rigid if problem.has_rigid else None)
         of_components = extension = (found,) * axes
         bridges = 0 if found is None else found.bridges
     sites, block = ("voxels", "2 x 2 x 2") if axes == 3 else ("pixels", "2 x 2")

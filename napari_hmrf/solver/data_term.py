@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.solver.precision import are_equal
+from napari_hmrf.real_arrays import are_equal
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.uncertain_landmarks import corner_shares, corners_of
 

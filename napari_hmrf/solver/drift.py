@@ -27,10 +27,10 @@ import numpy.typing as npt
 
 from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.real_arrays import are_equal
 from napari_hmrf.solver.connected import connected
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.optimizers import Monitor, Multigrid, Optimizer
-from napari_hmrf.solver.precision import are_equal
 from napari_hmrf.solver.priors import ElasticPrior, Prior
 from napari_hmrf.solver.priors.growth import slabs
 from napari_hmrf.solver.problem import Problem, variant_of
@@ -270,8 +270,8 @@ class _Responses:
             and marks.scale == others.scale
             and np.array_equal(marks.points, others.points)
             and np.array_equal(marks.sd, others.sd)
-            and np.array_equal(own.stiffness, problem.stiffness)
-            and np.array_equal(own.known, problem.known)
+            and are_equal(own.stiffness, problem.stiffness)
+            and are_equal(own.known, problem.known)
             and are_equal(own.precision, problem.precision)
             and own.coupling == problem.coupling
         )

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-
+from napari_hmrf.real_arrays import are_equal
 from napari_hmrf.solver.loads import are_same
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
@@ -94,8 +93,10 @@ def _is_crushed(solution: Solution) -> bool:
 
 
 def _same_observations(one: Problem, other: Problem) -> bool:
+    """Return whether two problems on one grid have the same observations and loads."""
     return one is other or (
         are_same(one.loads, other.loads)
-        and np.array_equal(one.observed, other.observed)
-        and np.array_equal(one.confidence, other.confidence)
+        and are_equal(one.known_values, other.known_values)
+        and are_equal(one.confidence, other.confidence)
+        and are_equal(one.tissue, other.tissue)
     )

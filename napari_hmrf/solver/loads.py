@@ -15,6 +15,7 @@ from napari_hmrf.field.followers import followers_of
 from napari_hmrf.field.neighbours import sites_of_elements
 from napari_hmrf.real_arrays import (
     FloatArray,
+    are_equal,
     as_float32,
     check_finite,
     first_index,
@@ -122,8 +123,8 @@ class Loads:
         """Return whether growth and forces equal those of other loads."""
         return self is other or (
             other is not None
-            and is_equal(self.growth, other.growth)
-            and is_equal(self.force, other.force)
+            and are_equal(self.growth, other.growth)
+            and are_equal(self.force, other.force)
         )
 
     def check(self, stiffness: FloatArray, spacing: tuple[float, ...]) -> None:
@@ -318,10 +319,3 @@ def _sizes(spacing: tuple[float, ...] | None) -> str:
 def are_same(one: Loads | None, other: Loads | None) -> bool:
     """Return whether two problems have the same loads or both have no loads."""
     return one is other or (one is not None and one.same_as(other))
-
-
-def is_equal(one: FloatArray | None, other: FloatArray | None) -> bool:
-    """Return whether two parts of loads have the same values or both are missing."""
-    if one is None or other is None:
-        return one is other
-    return one is other or np.array_equal(one, other)

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.real_arrays import as_numbers, check_finite, first_index
+from napari_hmrf.real_arrays import are_equal, as_numbers, check_finite, first_index
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -86,16 +86,6 @@ def checked_precision(
     tensor.setflags(write=False)
     _tensors.value = weakref.ref(tensor)
     return tensor
-
-
-def are_equal(one: npt.NDArray[Any] | None, other: npt.NDArray[Any] | None) -> bool:
-    """Return whether two arrays are equal; most unequal arrays already differ in the middle."""
-    if one is None or other is None or one is other:
-        return one is other
-    if one.shape != other.shape:
-        return False
-    middle = len(one) // 2
-    return np.array_equal(one[middle], other[middle]) and np.array_equal(one, other)
 
 
 def _check_tensors(tensors: Float64Array, begin: int) -> None:

@@ -14,9 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.arguments import require_kind, shown
+from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.real_arrays import FloatArray as FloatArray
 from napari_hmrf.real_arrays import (
+    are_equal,
     as_float32,
     as_numbers,
     check_finite,
@@ -38,6 +40,9 @@ _SMALLEST_STIFFNESS = 1e-30
 _EVEN = (1.0, 1.0)
 #: Largest plausible displacement, as a multiple of the image diagonal.
 MAX_REACH = 2.0
+# Mask of observed components and their indices, which stay the same during a drag. Any thread may
+# replace them.
+_known: Kept[tuple[npt.NDArray[np.bool_], npt.NDArray[np.intp]]] = Kept(is_large=True)
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -197,11 +202,29 @@ class Problem:
         return mask
 
     @cached_property
+    def has_rigid(self) -> bool:
+        """True if some tissue is rigid."""
+        return math.isinf(float(self.stiffness.max()))
+
+    @cached_property
     def known(self) -> npt.NDArray[np.bool_]:
         """Mask of observed components of tissue: confidence above 0, shape (H, W, 2)."""
         mask: npt.NDArray[np.bool_] = (self.confidence > 0) & self.tissue[..., None]
         mask.setflags(write=False)
         return mask
+
+    @cached_property
+    def known_at(self) -> npt.NDArray[np.intp]:
+        """Indices of the observed components of tissue in the flattened observations."""
+        known = self.known
+        return _known.get(
+            lambda last: are_equal(last[0], known), lambda: (known, np.flatnonzero(known))
+        )[1]
+
+    @cached_property
+    def known_values(self) -> FloatArray:
+        """Observed displacements at `known_at`, in the unit of the spacing."""
+        return self.observed.ravel().take(self.known_at)
 
     @cached_property
     def digests(self) -> Mapping[str, str]:

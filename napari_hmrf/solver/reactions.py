@@ -78,7 +78,7 @@ def reactions(problem: Problem, solution: Solution) -> npt.NDArray[np.float64]:
     joined = connected(problem, prior)
     problem = joined.problem
     forces, acts = prior.forces(problem, solution.displacement), _observed(problem)
-    if problem.rigid.any():
+    if problem.has_rigid:
         planes, held = host.planes(forces), host.planes(acts).astype(np.bool_)
         moved = None
         if isinstance(prior, NeoHookeanPrior):

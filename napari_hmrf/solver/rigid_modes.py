@@ -22,8 +22,8 @@ from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.field.neighbours import around_sites, in_elements, of_corners
+from napari_hmrf.real_arrays import are_equal
 from napari_hmrf.solver.coupling import Coupling
-from napari_hmrf.solver.precision import are_equal
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.uncertain_landmarks import Landmarks, corners_of
 
@@ -114,7 +114,7 @@ class HeldTissue(NamedTuple):
             return False
         if not self.covers(problem.tissue, problem.known):
             return False
-        same_rigid = are_equal(self.rigid, problem.rigid)
+        same_rigid = are_equal(self.rigid, problem.rigid if problem.has_rigid else None)
         return same_rigid and are_equal(self.precision, problem.precision)
 
     def covers(self, tissue: npt.NDArray[np.bool_], held: npt.NDArray[np.bool_]) -> bool:
@@ -125,7 +125,9 @@ class HeldTissue(NamedTuple):
         tissue : ndarray of bool, shape (H, W) or (D, H, W)
         held : ndarray of bool, shape (H, W, 2) or (D, H, W, 3)
         """
-        return np.array_equal(self.tissue, tissue) and not (self.held > held).any()
+        if not are_equal(self.tissue, tissue):
+            return False
+        return are_equal(self.held, held) or not (self.held > held).any()
 
 
 _firm: Kept[HeldTissue] = Kept()
@@ -201,7 +203,8 @@ def holding_strength(problem: Problem) -> float:
     value = min(float(stops[0] / sizes[cluster].sum() ** share) for cluster, _, stops, _ in ways)
     if problem.precision is not None:
         value *= _mean_grip(problem)
-    data = problem.precision, problem.landmarks, problem.rigid
+    rigid = problem.rigid if problem.has_rigid else None
+    data = problem.precision, problem.landmarks, rigid
     _firm.value = HeldTissue(problem.tissue, held, value, *data)
     return value
 

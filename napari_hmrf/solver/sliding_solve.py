@@ -153,7 +153,7 @@ def _supported(problem: Problem, prior: Prior, optimizer: Optimizer) -> Elastic:
             "the sliding parts.",
         )
     if isinstance(prior, NeoHookeanPrior):
-        if problem.rigid.any():
+        if problem.has_rigid:
             raise ProblemError(
                 "sliding",
                 "cannot be combined with rigid tissue in large motion. Use ElasticPrior, or give "

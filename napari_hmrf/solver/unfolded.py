@@ -15,6 +15,7 @@ import scipy
 from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.field.neighbours import around_sites, in_elements, of_corners
+from napari_hmrf.real_arrays import are_equal
 from napari_hmrf.solver.coupling import Box, Coupling, Index
 from napari_hmrf.solver.interface_normals import interface_surface
 from napari_hmrf.solver.loads import Loads
@@ -146,7 +147,7 @@ class _Layout(NamedTuple):
             self.problem.spacing == problem.spacing
             and one.strength == two.strength
             and np.array_equal(one.labels, two.labels)
-            and np.array_equal(self.problem.stiffness, problem.stiffness)
+            and are_equal(self.problem.stiffness, problem.stiffness)
         )
 
 

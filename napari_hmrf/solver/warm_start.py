@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -11,9 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.errors import ArgumentError
-from napari_hmrf.real_arrays import FloatArray
+from napari_hmrf.real_arrays import FloatArray, are_equal
 from napari_hmrf.solver.backends.earlier_results import WarmStart
-from napari_hmrf.solver.loads import is_equal
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
 
@@ -61,19 +60,18 @@ def combine_solutions(initial: Initial, problem: Problem) -> WarmStart:
     blocks = _Blocks(problem, solutions)
     count = len(solutions) - 1
     normal, right = np.zeros((count, count)), np.zeros(count)
-    for target, (first, *others) in blocks:
-        if others:
-            changes = np.stack(others) - first
+    for target, first, changes in blocks:
+        if count:
             # `einsum`, because a matrix product in BLAS starts threads, which would occupy the
             # cores that the solve needs.
             normal += np.einsum("an,bn->ab", changes, changes)
             right += np.einsum("an,n->a", changes, target - first)
     weights = _nearest(normal, right) if count else right
     deviation = 0.0 if blocks.comparable else math.inf
-    for target, (first, *others) in blocks:
+    for target, first, changes in blocks:
         difference = target - first
-        if others:
-            difference -= np.einsum("a,an->n", weights, np.stack(others) - first)
+        if count:
+            difference -= np.einsum("a,an->n", weights, changes)
         deviation = max(deviation, float(np.abs(difference).max(initial=0.0)))
     shares = (1.0 - float(weights.sum()), *map(float, weights))
     latest = solutions[0].reach
@@ -137,18 +135,15 @@ class _Blocks:
         for name in ("growth", "force"):
             arrays = [None if each is None else getattr(each, name) for each in loads]
             target = None if problem.loads is None else getattr(problem.loads, name)
-            if not all(is_equal(array, target) for array in arrays):
+            if not all(are_equal(array, target) for array in arrays):
                 self._loads.append((target, *arrays))
         shapes = [{each.shape for each in arrays if each is not None} for arrays in self._loads]
         #: True if all loads have the same form, such as one number for each site.
         self.comparable = all(len(forms) == 1 for forms in shapes)
 
-    def __iter__(self) -> Iterator[tuple[Float64Array, list[Float64Array]]]:
-        """Yield blocks of the problem's values, with the values of each solution."""
-        at = np.flatnonzero(self._problem.known)
-        displacements = [solution.displacement.ravel()[at] for solution in self._solutions]
-        observed = self._problem.observed.ravel()[at].astype(np.float64)
-        yield observed, [values.astype(np.float64) for values in displacements]
+    def __iter__(self) -> Iterator[tuple[Float64Array, Float64Array, Float64Array]]:
+        """Yield blocks: values of the problem and of the first solution, changes to the others."""
+        yield self._observations
         if not self.comparable:
             return
         for arrays in self._loads:
@@ -161,13 +156,24 @@ class _Blocks:
             for begin in range(0, tissue.size, sites):
                 block = slice(begin, begin + sites)
                 mask = tissue[block]
-                target, *others = (
+                yield _with_changes(
                     np.zeros(count * int(np.count_nonzero(mask)))
                     if array is None
                     else scale * array.reshape(-1, count)[block][mask].astype(np.float64).ravel()
                     for array in arrays
                 )
-                yield target, others
+
+    @cached_property
+    def _observations(self) -> tuple[Float64Array, Float64Array, Float64Array]:
+        """Observed displacements, those of the first solution, and changes to the others."""
+        problem = self._problem
+        own = problem.known_values
+        parts = [each.displacement.ravel().take(problem.known_at) for each in self._solutions]
+        # Components that are the same everywhere, such as those of fixed tissue, have no effect.
+        varies = np.zeros(len(own), dtype=np.bool_)
+        for part in parts:
+            varies |= part != own
+        return _with_changes(each[varies] for each in (own, *parts))
 
     def _largest(self, values: FloatArray) -> float:
         """Return the largest absolute value in tissue, of values of shape (H, W, ...)."""
@@ -179,6 +185,17 @@ class _Blocks:
     def _largest_displacement(self) -> float:
         """Largest absolute value of any displacement component of any solution in tissue."""
         return max(self._largest(each.displacement) for each in self._solutions)
+
+
+def _with_changes(
+    values: Iterable[npt.NDArray[np.floating]],
+) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """Return the first two arrays, and the differences of the others from the second array."""
+    target, first, *others = (each.astype(np.float64) for each in values)
+    changes = np.empty((len(others), len(first)))
+    for change, other in zip(changes, others, strict=True):
+        np.subtract(other, first, out=change)
+    return target, first, changes
 
 
 def _nearest(normal: Float64Array, right: Float64Array) -> Float64Array:

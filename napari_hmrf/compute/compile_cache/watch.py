@@ -47,17 +47,19 @@ def watched(job: str, report: Callable[[Stage], object]) -> Iterator[None]:
     before_numba()
     from numba.core import event  # heavy: numba
 
-    here, first = threading.get_ident(), _count_loops()
+    here = threading.get_ident()
+    first: int | None = None  # counted only if a loop is compiled, because this takes a millisecond
     cost = COSTS[job].seconds / COSTS[job].loops if job else 0.0
     depth, begun = 0, 0.0
 
     class Watch(event.Listener):  # type: ignore[misc]
         def on_start(self, happening: Any) -> None:
-            nonlocal depth, begun
+            nonlocal depth, begun, first
             if threading.get_ident() == here:
                 depth += 1
                 # Report only the outermost loop; numba catches exceptions raised in nested ones.
                 if depth == 1:
+                    first = _count_loops() if first is None else first
                     begun = time.perf_counter()
                     pace = _State.spent / _State.expected if job else 0.0
                     report(Stage(job, _count_loops() - first, pace))

@@ -70,7 +70,7 @@ class SolveJob:
             prior,
             optimizer,
             has_loads=problem.loads is not None,
-            has_rigid_tissue=math.isinf(float(problem.stiffness.max())),
+            has_rigid_tissue=problem.has_rigid,
             has_data=problem.has_data,
             has_sliding_parts=problem.coupling is not None,
         )

@@ -25,7 +25,7 @@ def takes_coarse_start(problem: Problem) -> bool:
     Rigid tissue, loads, data and sliding parts are not converted to coarser grids.
     """
     has_more = problem.loads is not None or problem.has_data or problem.coupling is not None
-    if has_more or problem.rigid.any() or min(problem.shape) <= _SMALL:
+    if has_more or problem.has_rigid or min(problem.shape) <= _SMALL:
         return False
     return float(np.abs(problem.observed).max()) > _SHORT * problem.unit
 

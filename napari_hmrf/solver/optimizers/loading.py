@@ -11,6 +11,7 @@ import scipy
 
 from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.real_arrays import are_equal
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes
 from napari_hmrf.solver.backends.planes import inside
@@ -48,7 +49,7 @@ class _LastLoads(NamedTuple):
             prior == self.prior
             and own.spacing == problem.spacing
             and are_same(own.loads, problem.loads)
-            and np.array_equal(own.stiffness, problem.stiffness)
+            and are_equal(own.stiffness, problem.stiffness)
         )
 
 

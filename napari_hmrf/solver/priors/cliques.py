@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.real_arrays import are_equal
 from napari_hmrf.solver.priors.elements import MILD_CONTRAST, contrast
 
 Float64Array = npt.NDArray[np.float64]
@@ -104,7 +105,7 @@ class SeilerMaterial:
             isinstance(other, SeilerMaterial)
             and (self.square, self.blanket) == (other.square, other.blanket)
             and np.array_equal(self.lines, other.lines)
-            and np.array_equal(self.m, other.m)
+            and are_equal(self.m, other.m)
         )
 
     __hash__ = None  # type: ignore[assignment]

@@ -148,8 +148,7 @@ class ElasticPrior:
         """Return whether any observation of the problem may slip."""
         if self.penalty is not None:
             return self.penalty < math.inf
-        doubted = problem.known & (problem.confidence < 1)
-        return bool(doubted.any())
+        return bool((problem.confidence.ravel().take(problem.known_at) < 1).any())
 
     def limit(self, problem: Problem) -> Float64Array | None:
         """Return the force limits P, (H, W, 2), or None if observations cannot slip.
@@ -190,7 +189,7 @@ class ElasticPrior:
         """
         m = problem.stiffness[sites] / np.float64(stiffest(problem.stiffness))
         nu = self.poisson if isinstance(self.poisson, float) else self.poisson[sites]
-        if problem.rigid.any():
+        if problem.has_rigid:
             # Rigid tissue does not stretch, so its elastic energy is zero, as in void.
             m = np.where(np.isinf(m), 0.0, m)
         return lame_parameters(m, nu, self._strain(problem))

@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.field.neighbours import around_sites, in_elements, of_corners
+from napari_hmrf.real_arrays import are_equal
 from napari_hmrf.solver.coupling import Coupling
 from napari_hmrf.solver.data_term import DataTerm, are_same
 
@@ -85,7 +86,7 @@ class ElasticMaterial:
             isinstance(other, ElasticMaterial)
             and (self.strain, self.shape) == (other.strain, other.shape)
             and np.array_equal(self.poisson, other.poisson)
-            and np.array_equal(self.m, other.m)
+            and are_equal(self.m, other.m)
             and are_same(self.data, other.data)
             and self.coupling == other.coupling
         )

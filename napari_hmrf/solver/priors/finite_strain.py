@@ -39,8 +39,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from napari_hmrf.real_arrays import FloatArray
-from napari_hmrf.solver.loads import is_equal
+from napari_hmrf.real_arrays import FloatArray, are_equal
 from napari_hmrf.solver.priors.elements import (
     ElasticMaterial,
     ElementShape,
@@ -117,7 +116,7 @@ class FiniteMaterial(ElasticMaterial):
         return (
             isinstance(other, FiniteMaterial)
             and super().__eq__(other)
-            and is_equal(self.growth, other.growth)
+            and are_equal(self.growth, other.growth)
         )
 
     __hash__ = None

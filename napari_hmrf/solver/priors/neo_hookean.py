@@ -97,7 +97,7 @@ class NeoHookeanPrior:
                 "cannot have a drift in large motion. Use ElasticPrior, or estimate no drift "
                 "(`drift=False`).",
             )
-        if self.penalty is not None and self.penalty < math.inf and problem.rigid.any():
+        if self.penalty is not None and self.penalty < math.inf and problem.has_rigid:
             raise ProblemError(
                 "stiffness",
                 "is infinite (rigid) somewhere, but observations cannot slip in large motion if "
@@ -113,7 +113,7 @@ class NeoHookeanPrior:
 
     def can_slip(self, problem: Problem) -> bool:
         """Return whether any observation of the problem may slip."""
-        return self.at_rest.can_slip(problem) and not problem.rigid.any()
+        return self.at_rest.can_slip(problem) and not problem.has_rigid
 
     def material(self, problem: Problem) -> FiniteMaterial:
         """Return the properties of a problem's tissue that the kernels require."""

@@ -144,7 +144,7 @@ class SeilerPrior:
                 "is a volume, but the blanket reading is for images only. Use SeilerPrior() or "
                 "ElasticPrior().",
             )
-        if problem.rigid.any():
+        if problem.has_rigid:
             raise ProblemError(
                 "stiffness",
                 "is infinite (rigid) somewhere, but the paper's prior uses ratios of stiffness, "
