@@ -179,6 +179,22 @@ def add(d: Planes, correction: npt.NDArray[np.float32], scale: float) -> None:
         exact.add(d[at.planes], correction[at.planes], scale)
 
 
+def rounding_error(farthest: float, axes: int) -> float:
+    """Return a bound on the rounding error of a displacement vector in single precision, in pixels.
+
+    The bound includes the rounding in `settle`.
+
+    Parameters
+    ----------
+    farthest : float
+        Largest absolute value of a component, in pixels.
+    axes : int
+        Number of components.
+    """
+    single = np.finfo(np.float32)
+    return math.sqrt(axes) * farthest * float(single.eps) + float(single.smallest_subnormal)
+
+
 def gathered(d: Planes, tolerance: float) -> tuple[npt.NDArray[np.floating], float]:
     """Return a displacement as an array, and a bound on its rounding error.
 
@@ -199,12 +215,11 @@ def gathered(d: Planes, tolerance: float) -> tuple[npt.NDArray[np.floating], flo
         Bound on the rounding error of a displacement vector, in pixels, including the rounding in
         `settle`.
     """
-    most = math.sqrt(len(d)) * max(float(d.max()), -float(d.min()))
-    single = np.finfo(np.float32)
-    rounding = most * float(single.eps) + float(single.smallest_subnormal)
+    farthest = max(float(d.max()), -float(d.min()))
+    rounding = rounding_error(farthest, len(d))
     if rounding > tolerance:
         exactly = field(d).copy()
-        return exactly, most * float(np.finfo(np.float64).eps)
+        return exactly, math.sqrt(len(d)) * farthest * float(np.finfo(np.float64).eps)
     grid = tuple(size - 4 for size in d.shape[1:])
     made = np.empty((*grid, len(d)), dtype=np.float32)
     exact = _exact(len(grid))

@@ -4,16 +4,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from napari_hmrf.compute.thread import compute_thread
-from napari_hmrf.solver.backends.earlier_results import EarlierResults
-from napari_hmrf.solver.backends.linear import Balance, HeldPlanes, Planes, Steps
+from napari_hmrf.real_arrays import are_equal
+from napari_hmrf.solver.backends.earlier_results import EarlierResults, WarmStart
+from napari_hmrf.solver.backends.linear import (
+    Balance,
+    HeldPlanes,
+    OnDevice,
+    Planes,
+    Review,
+    Steps,
+)
+from napari_hmrf.solver.backends.planes import planes
 from napari_hmrf.solver.backends.rigid.bodies import Bodies, BodySites
 from napari_hmrf.solver.backends.rigid.deflation import Deflation
+
+if TYPE_CHECKING:
+    from napari_hmrf.solver.problem import Problem
 
 # The squares of values between these bounds are representable in single precision.
 _SMALL, _GREAT = 1e-6, 1e6
@@ -68,7 +80,7 @@ class HostModel:
 
     def hold(self, held: HeldPlanes) -> None:
         """Set the constrained components on all levels."""
-        if self._held is not None and np.array_equal(held, self._held):
+        if are_equal(held, self._held):
             return
         self._held = None  # set only at the end, because a cancellation may interrupt the update
         self.earlier = EarlierResults()
@@ -104,6 +116,24 @@ class HostModel:
     def deflation(self, steps: Steps, coarsest: Steps) -> Deflation | None:
         """Return None; models of rigid tissue override this method."""
         return None
+
+    def on_device(
+        self, problem: Problem, load: Planes | None, start: WarmStart | None
+    ) -> OnDevice | None:
+        """Return None, because displacements are on the host."""
+        return None
+
+    def review(self, values: npt.NDArray[np.float32], load: Planes | None) -> Review:
+        """Return what decides whether a displacement, shape (H, W, 2), is a solution."""
+        d = planes(values)
+        balance, (energy, forces) = self.balance(d, load), self.work(d)
+        work = 0.0 if load is None else float(np.einsum("i,i->", load.ravel(), d.ravel()))
+        farthest = float(np.abs(values).max())
+        return Review(balance.most, balance.norm, energy, forces, work, farthest)
+
+    def work(self, d: Planes) -> tuple[float, float]:
+        """Return the energy of a displacement, and the norm of its forces A d."""
+        raise NotImplementedError
 
     def _balance(self, d: Planes, load: Planes | None, unit: float) -> tuple[float, float]:
         """Write (load - A d) / unit to `_rest`; return its largest absolute value and its norm."""

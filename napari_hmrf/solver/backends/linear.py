@@ -12,16 +12,19 @@ axis and a border of zeros, two sites wide. D is the diagonal of A.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.solver.backends.earlier_results import EarlierResults
+from napari_hmrf.solver.backends.earlier_results import EarlierResults, WarmStart
 from napari_hmrf.solver.backends.planes import HeldPlanes as HeldPlanes
 from napari_hmrf.solver.backends.planes import Planes as Planes
 from napari_hmrf.solver.backends.rigid.bodies import Bodies
 from napari_hmrf.solver.backends.rigid.deflation import Deflation
+
+if TYPE_CHECKING:
+    from napari_hmrf.solver.problem import Problem
 
 #: (scale, momentum) of each Chebyshev step of a smoother.
 Steps = tuple[tuple[float, float], ...]
@@ -32,19 +35,42 @@ class Balance(NamedTuple):
 
     Attributes
     ----------
-    rest : ndarray of float32
+    rest : ndarray of float32, or vector
         Residual divided by `unit`, as planes or in the layout of the finest level's vectors; see
-        `LinearLevel.vector`. The array is valid until the next call and may be modified.
+        `LinearLevel.vector`. An array is valid until the next call and may be modified.
     unit : float
         Scale of `rest`, in the model's units.
     most, norm : float
         Largest absolute value and Euclidean norm of the residual, in the model's units.
     """
 
-    rest: npt.NDArray[np.float32]
+    rest: Any
     unit: float
     most: float
     norm: float
+
+
+class Review(NamedTuple):
+    """Properties of a displacement in single precision, computed in double precision.
+
+    Attributes
+    ----------
+    most, norm : float
+        Largest absolute value and Euclidean norm of the residual, as in `Balance`.
+    energy, forces : float
+        Energy of the tissue, and norm of its forces A d.
+    work : float
+        Work of the load over the displacement; 0 without a load.
+    farthest : float
+        Largest absolute value of the displacement, in pixels.
+    """
+
+    most: float
+    norm: float
+    energy: float
+    forces: float
+    work: float
+    farthest: float
 
 
 class LinearLevel(Protocol):
@@ -166,6 +192,38 @@ class UnsymmetricLevel(LinearLevel, Protocol):
         ...
 
 
+class OnDevice(Protocol):
+    """Displacement of a solve that stays on the device until its cycles are done.
+
+    Observed components have the observed displacement, and all others begin with a warm start or at
+    zero. The device computes in single precision, so `review` decides when a solve ends.
+    """
+
+    def balance(self) -> Balance:
+        """Return the residual in single precision, with `rest` as a vector on the device.
+
+        `most` is only an upper bound, the norm.
+        """
+        ...
+
+    def add(self, correction: Any) -> None:
+        """Add a vector of the finest level to the displacement."""
+        ...
+
+    def review(self) -> Review:
+        """Copy the displacement to the host, and review it there."""
+        ...
+
+    @property
+    def values(self) -> npt.NDArray[np.float32]:
+        """Displacement at the last `review`, in pixels, shape (H, W, 2)."""
+        ...
+
+    def keep(self) -> None:
+        """Keep the displacement on the device for warm starts that use the array `values`."""
+        ...
+
+
 class Hierarchy(Protocol):
     """Levels of a model, and upper bounds on its spectrum."""
 
@@ -242,6 +300,22 @@ class LinearModel(Protocol):
         """Set the constrained components of the finest level and update the coarser levels."""
         ...
 
+    def on_device(
+        self, problem: Problem, load: Planes | None, start: WarmStart | None
+    ) -> OnDevice | None:
+        """Begin a solve on the device; return None for a solve with `hold` and `balance`.
+
+        Parameters
+        ----------
+        problem : Problem
+            Problem with the tissue of this model, whose observations never slip.
+        load : ndarray, planes, or None
+            Load, in the model's units, which the caller does not change.
+        start : WarmStart, optional
+            Warm start.
+        """
+        ...
+
     def deflation(self, steps: Steps, coarsest: Steps) -> Deflation | None:
         """Return the fields of the rigid bodies' motions for deflation; None if there are none.
 
@@ -283,6 +357,10 @@ class LinearModel(Protocol):
 
     def work(self, d: Planes) -> tuple[float, float]:
         """Return the energy of a displacement, and the norm of its forces A d."""
+        ...
+
+    def review(self, values: npt.NDArray[np.float32], load: Planes | None) -> Review:
+        """Return what decides whether a displacement, shape (H, W, 2), is a solution."""
         ...
 
     @property

@@ -20,7 +20,13 @@ import scipy
 
 from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.solver.backends import host
-from napari_hmrf.solver.backends.linear import Balance, Planes, Steps, UnsymmetricLevel
+from napari_hmrf.solver.backends.linear import (
+    Balance,
+    OnDevice,
+    Planes,
+    Steps,
+    UnsymmetricLevel,
+)
 from napari_hmrf.solver.backends.rigid.deflation import Deflation
 from napari_hmrf.solver.optimizers.cycle import Cycle
 
@@ -166,7 +172,7 @@ class ConjugateGradients:
         self.least = min(self.least, least)
 
     @np.errstate(over="ignore", invalid="ignore")
-    def run(self, balance: Balance, d: Planes, enough: Watch) -> None:
+    def run(self, balance: Balance, d: Planes | OnDevice, enough: Watch) -> None:
         """Add a correction for a residual to `d`, in place.
 
         The run overwrites the residual. If numbers overflow, `d` is still valid.
@@ -175,8 +181,8 @@ class ConjugateGradients:
         ----------
         balance : Balance
             Residual of the system at `d`.
-        d : ndarray, planes
-            Displacement, in pixels.
+        d : ndarray, planes, or OnDevice
+            Displacement, in pixels. On the device, the residual has the unit 1.
         enough : callable
             Called with a `Step` after each step; returns True to end the run.
 
@@ -244,7 +250,10 @@ class ConjugateGradients:
                 break
         if not at_once:
             level.project(found)
-            host.add(d, np.asarray(level.planes(found)), unit)
+            if isinstance(d, np.ndarray):
+                host.add(d, np.asarray(level.planes(found)), unit)
+            else:
+                d.add(found)
             level.free(found)
         level.free(direction, image)
 

@@ -14,6 +14,7 @@ import numpy as np
 from napari_hmrf.checks import Count, Positive, checked
 from napari_hmrf.compute.thread import compute_thread
 from napari_hmrf.errors import ConvergenceError
+from napari_hmrf.real_arrays import FloatArray
 from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.base import Backend
 from napari_hmrf.solver.backends.earlier_results import (
@@ -30,6 +31,7 @@ from napari_hmrf.solver.optimizers.base import Convergence, LevelRun, Outcome, R
 from napari_hmrf.solver.optimizers.bending_slip import BendingSlip
 from napari_hmrf.solver.optimizers.cycle import BENDING, smoothing_of
 from napari_hmrf.solver.optimizers.loading import (
+    LoadForces,
     check_balanced,
     check_reach,
     load_forces,
@@ -132,7 +134,6 @@ class Multigrid:
             )
         limit = prior.limit(problem)
         pulls, stored = load_forces(problem, prior)
-        d, observed = host.prescribed(problem, start if limit is None else None)
         if isinstance(prior, ElasticPrior):
             material = prior.material(problem)
             pulls, stored = with_data(material.data, problem, pulls, stored)
@@ -144,8 +145,19 @@ class Multigrid:
         holds = limit is None and isinstance(prior, ElasticPrior)
         firm = not (problem.is_volume or holds) or is_firm(problem)
         met = None if start is None else start_quality_of(start)
-        refinement = Refinement(self.max_iterations, model, smoothing, report, firm, met)
+
+        def refined(of: LinearModel) -> Refinement:
+            return Refinement(self.max_iterations, of, smoothing, report, firm, met)
+
+        refinement = refined(model)
         try:
+            if limit is None:
+                loads = LoadForces(pulls, stored)
+                found = self._solve_on_device(problem, model, loads, start, refinement)
+                if found is not None:
+                    return found
+                refinement = refined(model)
+            d, observed = host.prescribed(problem, start if limit is None else None)
             if limit is None:
                 model.hold(observed)
                 if start is not None:
@@ -163,10 +175,6 @@ class Multigrid:
                     np.copyto(d, host.combined(start), where=moves)
                 observed_moves, limits = observed & moves, host.planes(limit)
                 check_balanced(problem, observed_moves, limits, pulls)
-
-                def refined(of: LinearModel) -> Refinement:
-                    return Refinement(self.max_iterations, of, smoothing, report, firm, met)
-
                 kind = Slip if isinstance(prior, ElasticPrior) else BendingSlip
                 slip = kind(
                     problem,
@@ -193,32 +201,77 @@ class Multigrid:
         if pulls is not None:
             check_reach(d, problem)
         compute_thread.check_cancelled()
-        # Tissue without an equation has one energy, after no iteration.
-        energies = np.array(refinement.energies if refinement.cycles else refinement.energies[-1:])
-        energies /= max(1, np.count_nonzero(problem.tissue))
         displacement, rounding = host.gathered(d, self.tolerance)
         if problem.is_volume:
             rounding *= 3  # the coefficients of the model are rounded, too
         host.reuse(d, observed)
         if limit is None:
-            model.earlier.add(displacement, Quality(refinement.error, refinement.residual))
-            remember(displacement, StartQuality(refinement.least, refinement.estimate))
-        return Outcome(
-            displacement=displacement,
-            energy=energies,
-            levels=(LevelRun(0, problem.shape, len(energies) if refinement.cycles else 0),),
-            convergence=Convergence(
-                max(refinement.estimate, rounding),
-                refinement.residual / max(forces, _TINY),
-                "factors" if refinement.by_factors else "cycles",
-            ),
-        )
+            _remember_for_warm_starts(displacement, model, refinement)
+        return _outcome(problem, displacement, rounding, refinement, forces)
+
+    def _solve_on_device(
+        self,
+        problem: Problem,
+        model: LinearModel,
+        loads: LoadForces,
+        start: WarmStart | None,
+        refinement: Refinement,
+    ) -> Outcome | None:
+        """Solve a problem whose observations never slip on the device; None if the host must."""
+        d = model.on_device(problem, loads.pulls, start)
+        if d is None:
+            return None
+        try:
+            review = refinement.run_on_device(d, self.tolerance, self._quality(start, model))
+        except ConvergenceError:
+            return None  # in double precision, the host may succeed
+        if review is None:
+            return None
+        rounding = host.rounding_error(review.farthest, len(problem.shape))
+        if rounding > self.tolerance:
+            return None
+        if loads.pulls is not None:
+            check_reach(host.planes(d.values), problem)
+        refinement.set_energy(review.energy + loads.energy - review.work)
+        d.keep()
+        _remember_for_warm_starts(d.values, model, refinement)
+        return _outcome(problem, d.values, rounding, refinement, review.forces)
 
     def _quality(self, start: WarmStart | None, model: LinearModel) -> Quality | None:
         """Return the quality of the start, or None if it is unknown or observations are not met."""
         if start is None or start.missing > _NEGLIGIBLE * self.tolerance:
             return None
         return model.earlier.quality(start)
+
+
+def _remember_for_warm_starts(
+    displacement: FloatArray, model: LinearModel, refinement: Refinement
+) -> None:
+    model.earlier.add(displacement, Quality(refinement.error, refinement.residual))
+    remember(displacement, StartQuality(refinement.least, refinement.estimate))
+
+
+def _outcome(
+    problem: Problem,
+    displacement: FloatArray,
+    rounding: float,
+    refinement: Refinement,
+    forces: float,
+) -> Outcome:
+    """Return the outcome of a solve; `forces` is the norm of the forces of the tissue."""
+    # Tissue without an equation has one energy, after no iteration.
+    energies = np.array(refinement.energies if refinement.cycles else refinement.energies[-1:])
+    energies /= max(1, np.count_nonzero(problem.tissue))
+    return Outcome(
+        displacement=displacement,
+        energy=energies,
+        levels=(LevelRun(0, problem.shape, len(energies) if refinement.cycles else 0),),
+        convergence=Convergence(
+            max(refinement.estimate, rounding),
+            refinement.residual / max(forces, _TINY),
+            "factors" if refinement.by_factors else "cycles",
+        ),
+    )
 
 
 def is_firm(problem: Problem) -> bool:

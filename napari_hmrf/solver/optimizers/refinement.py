@@ -40,7 +40,7 @@ from napari_hmrf.solver.backends.direct.dissection import Singular
 from napari_hmrf.solver.backends.direct.factors import Factors
 from napari_hmrf.solver.backends.direct.sparse_factors import Links
 from napari_hmrf.solver.backends.earlier_results import Quality, StartQuality
-from napari_hmrf.solver.backends.linear import Balance, LinearModel, Planes
+from napari_hmrf.solver.backends.linear import Balance, LinearModel, OnDevice, Planes, Review
 from napari_hmrf.solver.optimizers.base import (
     Monitor,
     Report,
@@ -107,6 +107,8 @@ _ROUNDING = 1e-15
 # Correction, relative to the largest displacement (at least 1 pixel), up to which the solve may end
 # without progress.
 _STALLED = 1e-7
+# Range of the largest residual, in the model's units, whose squares single precision sums up.
+_LEAST_FORCE, _MOST_FORCE = 1e-12, 1e12
 
 
 class _SlowMotionError(Exception):
@@ -226,6 +228,57 @@ class Refinement:
         ):
             self._solve(d, load, tolerance)
 
+    def run_on_device(
+        self, d: OnDevice, tolerance: float, known: Quality | None = None
+    ) -> Review | None:
+        """Reduce the error of a displacement on the device by cycles.
+
+        Parameters
+        ----------
+        d : OnDevice
+            Initial displacement, which is changed.
+        tolerance : float
+            Largest accepted error of the field, in pixels.
+        known : Quality, optional
+            Quality of `d`. If it is sufficient, only the residual of `d` is checked.
+
+        Returns
+        -------
+        Review or None
+            Review of the solution. None if single precision or cycles may not suffice; `run` then
+            solves from the start, in another `Refinement`.
+        """
+        earlier = self._model.earlier
+        if not self._mild or earlier.slow or earlier.factors is not None:
+            return None
+        if known is not None:
+            review = d.review()
+            if known.suffices(tolerance, review.norm):
+                self.residual, self.error = review.norm, known.error
+                self.estimate = min(_REPORTED * known.error, tolerance)
+                return review
+        balance, before = d.balance(), math.inf
+        if balance.most == 0:
+            self.error = self.estimate = 0.0
+            return d.review()
+        if not (_LEAST_FORCE < balance.most < _MOST_FORCE and self._trust()):
+            return None
+        margin = self._choose_margin()
+        while True:
+            end = self._run_cycles(d, balance, tolerance, margin, watch=before == math.inf)
+            if isinstance(end, _Interrupted):
+                if end is _Interrupted.SLOW:
+                    self._distrust()
+                return None
+            review = d.review()
+            worst = self._estimate_error(review, end, margin)
+            if worst <= tolerance:
+                self._accept(tolerance)
+                return review
+            if self._too_long or not worst < 0.5 * before:
+                return None
+            balance, before = d.balance(), worst
+
     @property
     def least(self) -> float:
         """Smallest eigenvalue found by cycles, including the cycles of the warm start."""
@@ -274,8 +327,7 @@ class Refinement:
             balance, watch = self._model.balance(d, load, balance.most), False
             worst = self._estimate_error(balance, end, margin)
             if worst <= tolerance:
-                self.error = self.estimate
-                self.estimate = min(max(self.estimate, self._least_error()), tolerance)
+                self._accept(tolerance)
                 return True
             stays = not worst < 0.5 * before
             if self._too_long or (stays and not self._take_care()):
@@ -345,7 +397,12 @@ class Refinement:
         return margin
 
     def _run_cycles(
-        self, d: Planes, balance: Balance, tolerance: float, margin: float, watch: bool
+        self,
+        d: Planes | OnDevice,
+        balance: Balance,
+        tolerance: float,
+        margin: float,
+        watch: bool,
     ) -> Step | _Interrupted:
         """Run cycles until the estimated error is within the tolerance, or they take too long.
 
@@ -372,15 +429,20 @@ class Refinement:
         self._slowest = min(self._slowest, self._iteration.run_least)
         return _Interrupted.IDLE if last is None else last
 
-    def _estimate_error(self, balance: Balance, step: Step, margin: float) -> float:
+    def _estimate_error(self, balance: Balance | Review, step: Step, margin: float) -> float:
         """Set the estimated error for the true residual; return its largest plausible value."""
         deflation = self._model.earlier.deflation
         self.residual = balance.norm
         self.estimate = margin * step.reach * self.residual
-        if deflation is not None:
+        if deflation is not None and isinstance(balance, Balance):
             self.estimate += deflation.remaining_distance(balance.rest) * balance.unit
         self._unseen_error = _LEAST_MARGIN * step.worst_reach * self.residual
         return self.worst
+
+    def _accept(self, tolerance: float) -> None:
+        """Report the estimated error, which is within the tolerance."""
+        self.error = self.estimate
+        self.estimate = min(max(self.estimate, self._least_error()), tolerance)
 
     @property
     def _is_slow(self) -> bool:
@@ -391,12 +453,16 @@ class Refinement:
 
     def _begin_again(self, d: Planes, load: Planes | None, tolerance: float) -> bool:
         """Restart the iteration, because the tissue is not mild."""
-        earlier = self._model.earlier
-        earlier.slow, earlier.underestimate, self._underestimate = True, None, None
-        self._iteration.least = 1.0
+        self._distrust()
         self.cycles -= len(self._gains)
         self._gains = []
         return self._iterate(d, load, tolerance, self._model.balance(d, load))
+
+    def _distrust(self) -> None:
+        """Forget the error estimate of mild tissue, and remember that the tissue is not mild."""
+        earlier = self._model.earlier
+        earlier.slow, earlier.underestimate, self._underestimate = True, None, None
+        self._iteration.least = 1.0
 
     def _least_error(self) -> float:
         """Return a lower bound on the reported error, independent of the residual."""

@@ -15,6 +15,7 @@ from napari_hmrf.solver.backends.cpu.compiled import (
     bounds_of_part,
     callee,
     contracted_reduction,
+    disjoint,
     disjoint_callee,
     disjoint_parallel,
     parallel,
@@ -188,3 +189,84 @@ def pull(thread, d, lame, shape, where, out, count):
     for number in portion(thread, count):
         first, last = bounds_of_part(number, count, len(where[1]))
         _pull_part(d, lame, shape, where, out, first, last)
+
+
+@disjoint
+def _spread(values, row, col):
+    """Copy a line of values, with the components of each site side by side, to two lines."""
+    for j in range(len(values) // 2):
+        row[j] = values[2 * j]
+        col[j] = values[2 * j + 1]
+
+
+@disjoint
+def _rest_line(force, load, given, inverse, out):
+    for j in range(len(out)):
+        rest = float32(given * load[j] + force[j])
+        out[j] = rest if inverse[j] > float32(0) else rest - rest
+
+
+@contracted_reduction
+def _product_of(a, b):
+    total = 0.0
+    for j in range(len(a)):
+        total += a[j] * b[j]
+    return total
+
+
+@callee
+def _review_part(values, load, given, lame, inverse, where, shape, totals, first, last):
+    sites = slice(2, 2 + values.shape[1] // 2)
+    lines, forces, carry = np.zeros((4, where[2])), np.zeros((2, where[2])), np.zeros((2, where[2]))
+    rest = np.zeros((2, where[2]), np.float32)
+    begin = max(first - 1, 0)
+    _spread(values[begin], lines[2, sites], lines[3, sites])
+    for i in range(begin, last):
+        lines[:2] = lines[2:]
+        if i + 1 < len(values):
+            _spread(values[i + 1], lines[2, sites], lines[3, sites])
+        else:
+            lines[2:] = 0
+        column, here, _, count = place(where, i)
+        if i >= first:
+            totals[:, i] = 0
+        if count == 0:
+            continue
+        past, until = here + count, column + count
+        (row, col), (row_below, col_below) = (
+            pair(lines, column, until),
+            pair(lines[2:], column, until),
+        )
+        rows, moduli = (row, row_below, col, col_below), pair(lame, here, past)
+        carried, force = pair(carry, column, until), pair(forces, column, until)
+        _pull_row(rows, moduli, shape, carried, force)
+        if i < first:
+            continue
+        most = np.int32(0)
+        for k in range(2):
+            inner, line = forces[k, column + 1 : until - 1], lines[k, column + 1 : until - 1]
+            pull = load[k, here + 1 : past - 1] if given != 0 else inner
+            left = rest[k, column + 1 : until - 1]
+            _rest_line(inner, pull, given, inverse[k, here + 1 : past - 1], left)
+            most = max(most, line_largest(left))
+            totals[1, i] += line_product(left, left)
+            totals[2, i] -= _product_of(line, inner)
+            totals[3, i] += _product_of(inner, inner)
+            if given != 0:
+                totals[4, i] += _product_of(line, pull)
+        totals[0, i] = np.int32(most).view(np.float32)
+        totals[5, i] = np.int32(line_largest(values[i])).view(np.float32)
+
+
+@parallel
+def review(thread, values, load, given, lame, inverse, where, shape, totals, count):
+    """Compute what decides whether a displacement in single precision is a solution.
+
+    `values` has shape (H, 2 W), with the components of each site side by side, and is 0 outside the
+    spans in `where`, which contain all tissue. Column i of `totals` is for row i of sites: 0 and 1
+    the largest absolute value and the sum of squares of ``given * load - A d`` at free components;
+    2 d . A d; 3 ||A d||^2; 4 load . d; 5 the largest absolute value of d.
+    """
+    for number in portion(thread, count):
+        first, last = bounds_of_part(number, count, len(values))
+        _review_part(values, load, given, lame, inverse, where, shape, totals, first, last)

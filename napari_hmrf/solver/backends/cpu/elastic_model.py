@@ -17,12 +17,12 @@ from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.solver.backends.cpu import small
 from napari_hmrf.solver.backends.cpu.deflation_setup import build_deflation
 from napari_hmrf.solver.backends.cpu.double_level import DoubleLevel
-from napari_hmrf.solver.backends.cpu.layout import Layout, flat
+from napari_hmrf.solver.backends.cpu.layout import Layout, Table, flat, tissue_spans
 from napari_hmrf.solver.backends.cpu.level import CpuLevel, Spans, Vector, loops_of
 from napari_hmrf.solver.backends.cpu.small_levels import SmallLevels, divided
-from napari_hmrf.solver.backends.cpu.transfer import padded
+from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
 from napari_hmrf.solver.backends.host_model import HostModel
-from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Steps
+from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Review, Steps
 from napari_hmrf.solver.backends.rigid.bodies import bodies_of, can_deflate
 from napari_hmrf.solver.backends.rigid.deflation import Deflation
 from napari_hmrf.solver.coarse_levels import grids, smoother_bounds
@@ -168,6 +168,8 @@ class CpuElasticModel(HostModel):
         self._exact_lame = self._loops.exact_elements(shape)
         self._rest: Vector = np.zeros(0, dtype=np.float32)
         self._fields: Vector = np.zeros((0, 0), dtype=np.float32)
+        # Start and stop column of the tissue in each row, computed on first use.
+        self._tissue: Table | None = None
         self.assemble(material)
 
     def _small_levels(self, little: Sequence[tuple[int, ...]], has_data: bool) -> SmallLevels:
@@ -196,6 +198,7 @@ class CpuElasticModel(HostModel):
         self.material = material
         self.bounds = smoother_bounds(material)
         self._held = self.bodies = self._sites = None
+        self._tissue = None
         m, most = material.m, stiffest(material.m)
         if material.rigid:
             self._sites = bodies_of(m)
@@ -314,6 +317,17 @@ class CpuElasticModel(HostModel):
             return -float((forces * d).sum()) / 2, float(np.linalg.norm(forces))
         product, square = self._loops.work(self.levels[0], self._exact, d)
         return product / 2, math.sqrt(square)
+
+    def review(self, values: Vector, load: Planes | None) -> Review:
+        """Return what decides whether a displacement, shape (H, W, 2), is a solution."""
+        finest = self.levels[0]
+        is_plain = self.material.data is None and self.bodies is None
+        if not (is_plain and finest.layout.is_whole and len(self.shape) == 2):
+            return super().review(values, load)
+        if self._tissue is None:
+            self._tissue = tissue_spans(finest.lame[self._loops.SHEAR])[PAD:-PAD]
+        found: Review = self._loops.review(finest, self._exact, self._tissue, values, load)
+        return found
 
     @property
     def steepness(self) -> Planes:

@@ -23,7 +23,7 @@ from napari_hmrf.solver.backends.cpu import (
 )
 from napari_hmrf.solver.backends.cpu.layout import Table, flat, whole_rows
 from napari_hmrf.solver.backends.cpu.transfer import PAD
-from napari_hmrf.solver.backends.linear import Planes
+from napari_hmrf.solver.backends.linear import Planes, Review
 from napari_hmrf.solver.priors.elements import ElasticMaterial
 
 Vector = npt.NDArray[np.float32]
@@ -174,6 +174,30 @@ def work(level: Any, exact: Elements, d: Planes) -> tuple[float, float]:
     about = lame, _data(level), shape, _where_of(d)
     elastic_exact.work(flat(d), *about, products, squares, level.parts)
     return float(products.sum()), float(squares.sum())
+
+
+def review(
+    level: Any, exact: Elements, spans: Table, values: Vector, load: Planes | None
+) -> Review:
+    """Return what decides whether a displacement, shape (H, W, 2), is a solution.
+
+    `spans` are the start and stop column of the tissue of each row.
+    """
+    lame, shape = exact
+    totals, lines = np.zeros((6, len(values))), values.reshape(len(values), -1)
+    given = (np.zeros((2, 1)), 0.0) if load is None else (flat(load), 1.0)
+    where = level.layout.starts, spans, level.layout.planes[-1]
+    about = lame, flat(level.inverse), where, shape
+    elastic_exact.review(lines, *given, *about, totals, level.parts)
+    most, squares, product, forces, work, farthest = totals
+    return Review(
+        most=float(most.max()),
+        norm=math.sqrt(squares.sum()),
+        energy=float(product.sum()) / 2,
+        forces=math.sqrt(forces.sum()),
+        work=float(work.sum()),
+        farthest=float(farthest.max()),
+    )
 
 
 def exact_diagonal(level: Any, exact: Elements) -> Planes:

@@ -84,7 +84,7 @@ class Layout:
         if whole:
             return cls.whole(planes)
         _load_loops()
-        tissue = _tissue_spans(shear)
+        tissue = tissue_spans(shear)
         begin, past = (each + PAD for each in np.moveaxis(tissue, -1, 0))
         begin, past = _joined(begin - 1, past + 1, tissue[..., 1] > tissue[..., 0], (-1, 0, 1))
         stored = np.stack((begin, past), axis=-1)
@@ -167,8 +167,19 @@ def whole_rows(planes: tuple[int, ...]) -> tuple[Table, Table, Table]:
     return Layout.whole(planes).rows
 
 
-def _tissue_spans(shear: Values) -> Table:
-    """Return the start and stop column of the sites of each row that belong to an element."""
+def tissue_spans(shear: Values) -> Table:
+    """Return the start and stop column of the sites of each row that belong to an element.
+
+    Parameters
+    ----------
+    shear : ndarray, shape (H + 4, W + 4) or (D + 4, H + 4, W + 4)
+        Shear modulus of the elements; 0 in void.
+
+    Returns
+    -------
+    ndarray of int, shape (H + 4, 2) or (D + 4, H + 4, 2)
+        Columns, counted without the border.
+    """
     spans = np.zeros((*shear.shape[:-1], 2), dtype=np.int64)
     vectors.element_spans(shear.reshape(-1, shear.shape[-1]), spans.reshape(-1, 2))
     begin, past = np.moveaxis(spans, -1, 0)

@@ -15,9 +15,12 @@ from napari_hmrf import (
     solve,
 )
 from napari_hmrf.data import phantom
+from napari_hmrf.solver.backends import host
+from napari_hmrf.solver.backends.earlier_results import WarmStart
 from napari_hmrf.solver.backends.opengl import OpenGLBackend, is_software_renderer
 from napari_hmrf.solver.backends.opengl.context.device import the_device
 from napari_hmrf.solver.backends.opengl.images.seiler import GLSeilerModel
+from napari_hmrf.solver.backends.planes import planes
 from napari_hmrf.solver.optimizers import refinement
 from napari_hmrf.solver.optimizers.cycle import AVERAGING, BENDING, STRETCHING, Cycle, chebyshev
 from tests.support.linear_levels import (
@@ -120,6 +123,45 @@ def test_elastic_forces_match_the_loops(stage, shape, ratio, spacing, prior):
 
     loops, shaders = with_levels(stage, given, job)
     assert_same(shaders, loops)
+
+
+@pytest.mark.parametrize("has_load", [False, True])
+@cases
+def test_a_solve_on_the_device_starts_like_one_on_the_host(
+    stage, shape, ratio, spacing, prior, has_load
+):
+    given = random_example(shape, prior, spacing, ratio)
+    problem = given.problem
+    random = np.random.default_rng(7)
+    fields = tuple(random.normal(size=(*shape, 2)).astype(np.float32) for _ in range(4))
+    start = WarmStart(fields, (0.4, 1.1, -0.7, 0.2), problem.unit, 0.0)
+    pulls = planes(random.normal(size=(*shape, 2)))
+
+    def job():
+        backend = OpenGLBackend(lambda: None, stage)
+        try:
+            model = given.model(backend)
+            load = np.where(model.steepness > 0, pulls, 0) if has_load else None
+            d = model.on_device(problem, load, start)
+            level, balance = model.levels[0], d.balance()
+            rest, reviewed = level.planes(balance.rest), d.review()
+            exact, held = host.prescribed(problem, start)
+            exact[~(model.moves | held)] = 0
+            found = planes(d.values)
+            work = 0 if load is None else (load * found).sum()
+            balance = model.balance(found, load)
+            return found, exact, rest, balance, reviewed, (*model.work(found), work)
+        finally:
+            backend.close()
+
+    d, exact, rest, balance, reviewed, (energy, forces, work) = on_compute_thread(job)
+    assert_same([d], [exact])
+    assert_same([rest], [balance.rest * np.float32(balance.unit)])
+    assert reviewed.norm == pytest.approx(balance.norm, rel=1e-6)
+    assert reviewed.energy == pytest.approx(energy)
+    assert reviewed.forces == pytest.approx(forces)
+    assert reviewed.work == pytest.approx(work)
+    assert reviewed.farthest == np.abs(d).max()
 
 
 @pytest.mark.parametrize(

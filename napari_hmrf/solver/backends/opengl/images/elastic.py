@@ -31,7 +31,9 @@ class GLElasticLevel(RelaxingLevel):
         tissue = host.lame[1] > 0
         tissue[1:] |= tissue[:-1]
         tissue[:, 1:] |= tissue[:, :-1]
-        model = Model("smooth", "apply", {}, {"shape": np.array(shape, np.float32)})
+        model = Model(
+            "smooth", "apply", "residual_elements", {}, {"shape": np.array(shape, np.float32)}
+        )
         super().__init__(passes, host, tissue[2:-2, 2:-2], model)
         self._lame, self._element = host.lame, shape
         self._tissue_textures = [passes.texture(stored_planes(host.lame))]

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from napari_hmrf.solver.backends.base import FloatArray
 from napari_hmrf.solver.backends.opengl.cycle import CycleLevel
-from napari_hmrf.solver.backends.opengl.images.fields import pairs
+from napari_hmrf.solver.backends.opengl.images.fields import as_stored, pairs
 from napari_hmrf.solver.backends.opengl.images.passes import Passes
 from napari_hmrf.solver.backends.opengl.images.totals import BLOCK
 from napari_hmrf.solver.backends.opengl.programs.programs import Uniforms
@@ -59,6 +59,11 @@ class Vector:
     def turn(self) -> None:
         """Swap the two textures, so that the next values become the current values."""
         self._textures.reverse()
+
+    def shed(self) -> None:
+        """Release the texture for the next values."""
+        self._spare += self._textures[1:]
+        del self._textures[1:]
 
     def __del__(self) -> None:
         self._spare += self._textures
@@ -115,8 +120,10 @@ class GLLevel(CycleLevel[Scalar]):
         self._blocks: dict[tuple[int, ...], Any] = {}
         self._share: Any = None
 
-    def vector(self, values: FloatArray | None = None) -> Vector:
-        """Return a vector of zeros, or a vector with the given planes."""
+    def vector(self, values: FloatArray | Vector | None = None) -> Vector:
+        """Return a vector of zeros, a vector with the given planes, or the given vector."""
+        if isinstance(values, Vector):
+            return values
         made = Vector(self._zero_texture, self._spare)
         if values is not None:
             made.texture.write(stored_planes(values))
@@ -132,15 +139,32 @@ class GLLevel(CycleLevel[Scalar]):
 
         Also run the test kernel, to check that the device still computes correctly.
         """
+        rows, cols = self.grid
+        planes = np.zeros((2, rows + 2 * _PAD, cols + 2 * _PAD), np.float32)
+        planes[:, _PAD:-_PAD, _PAD:-_PAD] = np.moveaxis(self.values(vector), -1, 0)
+        return planes
+
+    def values(self, vector: Vector) -> FloatArray:
+        """Copy a vector to the host, shape (H, W, 2), and check the device as `planes` does."""
         self._passes.wait()
-        stored = np.frombuffer(vector.texture.read(), "<f4")
+        rows, cols = self._pairs
+        stored = np.empty((rows, 2 * cols, 2), np.float32)
+        vector.texture.read_into(stored)
         self._passes.device.check("reading a vector")
         self._passes.device.canary(self._passes.stage)
-        rows, cols = self.grid
-        values = stored.reshape(rows, -1, 2)[:, :cols]
-        planes = np.zeros((2, rows + 2 * _PAD, cols + 2 * _PAD), np.float32)
-        planes[:, _PAD:-_PAD, _PAD:-_PAD] = np.moveaxis(values, -1, 0)
-        return planes
+        return np.ascontiguousarray(stored[:, : self.grid[1]])
+
+    def write(
+        self, vector: Vector, values: npt.NDArray[Any], unit: float, row: int = 0, col: int = 0
+    ) -> None:
+        """Copy ``values / unit``, shape (H, W, 2), to the sites of a vector from a row and column.
+
+        The column must be even.
+        """
+        stored = as_stored(np.divide(values, unit, dtype=np.float32))
+        rows, cols = stored.shape[:2]
+        vector.texture.write(stored, (col // 2, row, cols // 2, rows))
+        self._passes.device.check("uploading a vector")
 
     def product(self, a: Vector, b: Vector) -> Scalar:
         """Return the scalar product of two vectors."""
@@ -184,6 +208,12 @@ class GLLevel(CycleLevel[Scalar]):
         d.turn()
         rest.turn()
         return self._sum_of_shares()
+
+    def add(self, d: Vector, correction: Vector) -> None:
+        """Add a vector to `d`, in place."""
+        unit = self._passes.unit
+        self._run("turn", {}, [d.texture, correction.texture, unit, unit], [d.other])
+        d.turn()
 
     def turn(self, steepest: Vector, direction: Vector, share: Number) -> None:
         """Compute ``direction = steepest + share * direction``."""

@@ -6,14 +6,33 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from napari_hmrf.solver.backends.earlier_results import EarlierResults
-from napari_hmrf.solver.backends.linear import Balance, HeldPlanes, LinearModel, Planes, Steps
+import numpy as np
+import numpy.typing as npt
+
+from napari_hmrf.real_arrays import are_equal
+from napari_hmrf.solver.backends.earlier_results import EarlierResults, WarmStart
+from napari_hmrf.solver.backends.linear import (
+    Balance,
+    HeldPlanes,
+    LinearModel,
+    OnDevice,
+    Planes,
+    Review,
+    Steps,
+)
 from napari_hmrf.solver.backends.opengl.context.pace import Pace
+from napari_hmrf.solver.backends.opengl.images.displacement import (
+    MOST_SOLUTIONS,
+    GLDisplacement,
+    SolvedVectors,
+)
 from napari_hmrf.solver.backends.opengl.images.passes import Passes
 from napari_hmrf.solver.backends.opengl.images.relaxing import RelaxingLevel
 from napari_hmrf.solver.backends.opengl.programs.source import Stage
+from napari_hmrf.solver.backends.planes import planes
 from napari_hmrf.solver.backends.rigid.bodies import Bodies
 from napari_hmrf.solver.backends.rigid.deflation import Deflation
+from napari_hmrf.solver.problem import Problem
 
 # Largest number of sites of a kept model, which takes about 130 bytes per site.
 _MOST_KEPT = 4_000_000
@@ -22,8 +41,8 @@ _MOST_KEPT = 4_000_000
 class GLModel:
     """Model with levels on the device; `LinearModel` documents the methods.
 
-    The device keeps the model after a solve, so that the next solve of the same tissue copies
-    nothing to the device but the residual.
+    The device keeps the model after a solve, with its observations and the latest solutions. The
+    next solve of the same tissue therefore copies only changed observations to the device.
 
     Parameters
     ----------
@@ -40,6 +59,8 @@ class GLModel:
         self._material, self.bounds = host.material, host.bounds
         # Identifies the prescribed components that the levels have; None if they have none.
         self._held_since: EarlierResults | None = None
+        self._known: npt.NDArray[np.bool_] | None = None
+        self._vectors: SolvedVectors | None = None
 
     def serves(self, host: LinearModel, stage: Stage) -> bool:
         """Return whether the levels are those of a model on the host, for a shader stage."""
@@ -59,7 +80,8 @@ class GLModel:
         self._host.hold(held)
         if self._held_since is self._host.earlier:
             return
-        self._held_since = None  # set only at the end, because of cancellation
+        # Set only at the end, because of cancellation.
+        self._held_since = self._known = None
         for level in self.levels:
             level.hold()
         self._held_since = self._host.earlier
@@ -113,6 +135,27 @@ class GLModel:
         """Return None, because rigid bodies are supported on the host only."""
         return None
 
+    def on_device(
+        self, problem: Problem, load: Planes | None, start: WarmStart | None
+    ) -> OnDevice | None:
+        """Begin a solve on the device; return None if the tissue or the start needs the host."""
+        too_many = start is not None and len(start.displacements) > MOST_SOLUTIONS
+        if problem.has_rigid or too_many:
+            return None
+        self._prescribe(problem.known)
+        if self._vectors is None:
+            self._vectors = SolvedVectors(self.levels[0])
+        self._vectors.observe(problem)
+        return GLDisplacement(self._vectors, self._host, load, start)
+
+    def _prescribe(self, known: npt.NDArray[np.bool_]) -> None:
+        """Set the prescribed components from a mask, shape (H, W, 2)."""
+        is_held = self._known is not None and self._held_since is self._host.earlier
+        if is_held and are_equal(known, self._known):
+            return
+        self.hold(planes(known) > 0)
+        self._known = known
+
     def balance(self, d: Planes, load: Planes | None, unit: float = 1.0) -> Balance:
         """Return the residual ``load - A d``."""
         return self._host.balance(d, load, unit)
@@ -124,6 +167,10 @@ class GLModel:
     def work(self, d: Planes) -> tuple[float, float]:
         """Return the energy of a displacement, and the norm of its forces ``A d``."""
         return self._host.work(d)
+
+    def review(self, values: npt.NDArray[np.float32], load: Planes | None) -> Review:
+        """Return what decides whether a displacement, shape (H, W, 2), is a solution."""
+        return self._host.review(values, load)
 
     @property
     def steepness(self) -> Planes:

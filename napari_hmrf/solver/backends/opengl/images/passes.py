@@ -38,6 +38,7 @@ class Passes(DeviceResources):
         self.stage = stage
         self._targets: dict[tuple[Any, ...], Any] = {}
         self._unit: Any = None
+        self._zero: Any = None
 
     def program(self, name: str, defines: Mapping[str, int] | None = None) -> Program:
         """Return the program of a kernel, compiled on first use."""
@@ -99,6 +100,13 @@ class Passes(DeviceResources):
             self._unit = self.texture(np.ones((1, 1, 1), np.float32))
         return self._unit
 
+    @property
+    def zero(self) -> Any:
+        """Texture of one texel with four values 0."""
+        if self._zero is None:
+            self._zero = self.texture(np.zeros((1, 1, 4), np.float32))
+        return self._zero
+
     def clear(self, texture: Any) -> None:
         """Fill a texture with zeros."""
         self.device.clear(self._target([texture], None))
@@ -107,7 +115,7 @@ class Passes(DeviceResources):
         """Free all framebuffers and textures."""
         self.device.free(self._targets.values())
         self._targets.clear()
-        self._unit = None
+        self._unit = self._zero = None
         super().close()
 
     def _target(self, outputs: Sequence[Any], tissue: Tissue | None) -> Any:

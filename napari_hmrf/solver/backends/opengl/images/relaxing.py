@@ -7,7 +7,7 @@ read, and the restriction of the residual.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -45,7 +45,7 @@ class Model(NamedTuple):
 
     Attributes
     ----------
-    smooth, apply : str
+    smooth, apply, residual : str
         Names of the kernels.
     defines : mapping of str to int
         Preprocessor definitions of all kernels of the prior.
@@ -55,6 +55,7 @@ class Model(NamedTuple):
 
     smooth: str
     apply: str
+    residual: str
     defines: Mapping[str, int]
     uniforms: Uniforms
 
@@ -145,6 +146,29 @@ class RelaxingLevel(GLLevel):
         outputs = [image.texture, self._shares()]
         self._run(model.apply, model.defines, inputs, outputs, model.uniforms)
         return self._sum_of_shares()
+
+    @property
+    def nothing(self) -> Any:
+        """Texture of a load that is zero at all sites."""
+        return self._passes.zero
+
+    def residual(self, d: Vector, load: Any) -> Vector:
+        """Return ``load - A d``, for the texture of a load, and 0 at fixed components."""
+        made, model = self.vector(), self._model
+        inputs = [d.texture, load, *self._tissue_textures, *self._held_textures]
+        self._run(model.residual, self._defines, inputs, [made.texture], model.uniforms)
+        return made
+
+    def prescribed(
+        self, observed: Vector, parts: Sequence[Vector], shares: Sequence[float]
+    ) -> Vector:
+        """Return a weighted sum of vectors, with the observations at fixed components."""
+        made, weights = self.vector(), np.zeros(4, np.float32)
+        weights[: len(shares)] = shares
+        unused = [self._inverse] * (len(weights) - len(parts))
+        inputs = [observed.texture, self._inverse, *(each.texture for each in parts), *unused]
+        self._run("prescribe", {}, inputs, [made.texture], {"weights": weights})
+        return made
 
     def multiply(self, direction: Vector, image: Vector) -> None:
         """Compute ``image = A @ direction``."""

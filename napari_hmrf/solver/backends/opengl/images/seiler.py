@@ -35,7 +35,7 @@ class GLSeilerLevel(RelaxingLevel):
     def __init__(self, passes: Passes, host: Any) -> None:
         defines = {"BLANKET": int(bool(host.blanket)), "SQUARE": int(host.lines is None)}
         weights = {} if host.lines is None else {"weights": host.lines}
-        model = Model("smooth_cliques", "apply_cliques", defines, weights)
+        model = Model("smooth_cliques", "apply_cliques", "residual", defines, weights)
         super().__init__(passes, host, host.stiffness[0, 2:-2, 2:-2] > 0, model)
         self._cliques = host
         self._tissue_textures = [passes.empty(singles(host.grid), 4) for _ in range(2)]

@@ -143,6 +143,20 @@ KERNELS: Mapping[str, Kernel] = {
             ("SPRINGS", *_READING),
             **_around("cliques", "ends", "pulls"),
         ),
+        Kernel(
+            "residual_elements",
+            ("displacement", "load", "lame", *_HELD),
+            {"rest": 4},
+            ("SPRINGS",),
+            **_around("elements", "forces"),
+            of="residual",
+        ),
+        Kernel(
+            "prescribe",
+            ("observed", "inverse_diagonal", *(f"solution_{k}" for k in range(4))),
+            {"begun": 4},
+            tissue=True,
+        ),
         Kernel("gather", ("rest", "even"), {"coarse_load": 4}, ("EVEN",), tissue=True),
         Kernel(
             "apply",
