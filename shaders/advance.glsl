@@ -11,13 +11,20 @@
 //          share             contribution of each pair to left . left
 // Border rule: none needed, because a pair reads only its own texel.
 
-void kernel(ivec2 pair)
+float way;
+
+/// Prepare the first pair of an invocation. The stage calls this function once.
+void enter(ivec2 pair)
 {
 #if SIGNED
-    float way = texelFetch(above, ivec2(0), 0).x;
+    way = texelFetch(above, ivec2(0), 0).x;
 #else
-    float way = ratio();
+    way = ratio();
 #endif
+}
+
+void kernel(ivec2 pair)
+{
     ivec2 at = clamped(pair, textureSize(found, 0));
     further = texelFetch(found, at, 0) + way * texelFetch(direction, at, 0);
     left = texelFetch(rest, at, 0) - way * texelFetch(image, at, 0);

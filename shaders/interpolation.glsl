@@ -7,17 +7,31 @@
 // Border rule: reads are clamped, which has no effect because all free sites are between coarse
 // sites.
 
-/// Read the interpolated correction at the sites of a pair and at their neighbours in the row.
-void read_coarse(ivec2 pair, out vec2 row[4])
+// The coarse row at or below the last fine row that was read: two texels with the columns of a pair.
+vec4 coarse_texels[2];
+bool has_coarse = false;
+
+/// Read a coarse row, at the columns of a pair of fine sites.
+void fetch_coarse(ivec2 pair, int coarse_row, out vec4 texels[2])
 {
     ivec2 size = textureSize(coarse, 0);
-    ivec2 near = ivec2((pair.x - 1) >> 1, pair.y >> 1);
-    ivec2 far = near + ivec2(0, pair.y & 1);
-    vec4 first = texelFetch(coarse, clamped(near, size), 0);
-    first += texelFetch(coarse, clamped(far, size), 0);
-    near.x = far.x = (pair.x + 1) >> 1;
-    vec4 second = texelFetch(coarse, clamped(near, size), 0);
-    second += texelFetch(coarse, clamped(far, size), 0);
+    texels[0] = texelFetch(coarse, clamped(ivec2((pair.x - 1) >> 1, coarse_row), size), 0);
+    texels[1] = texelFetch(coarse, clamped(ivec2((pair.x + 1) >> 1, coarse_row), size), 0);
+}
+
+/// Read the interpolated correction at the sites of a pair and at their neighbours in the row. After
+/// the first call, each call is for the next row.
+void read_coarse(ivec2 pair, out vec2 row[4])
+{
+    if (!has_coarse) {
+        fetch_coarse(pair, pair.y >> 1, coarse_texels);
+        has_coarse = true;
+    }
+    vec4 far[2];
+    fetch_coarse(pair, (pair.y + 1) >> 1, far);
+    vec4 first = coarse_texels[0] + far[0];
+    vec4 second = coarse_texels[1] + far[1];
+    coarse_texels = far;
     // Twice the correction at three columns: left of the pair, at its first site, and right of it.
     bool odd = (pair.x & 1) == 1;
     vec2 before = odd ? first.xy : first.zw;

@@ -1,22 +1,13 @@
-// Scalar products of square blocks of BLOCK x BLOCK texels; the kernel sum.glsl adds the blocks.
+// Scalar product of two vectors; the kernel sum.glsl adds the contributions.
 //
-//     total(block) = sum of first . second over the texels of the block, row by row
+//     share = first . second
 //
 // Inputs:  first, second  any units; pairs
-// Outputs: total          product of the units; one texel for each block
-// Border rule: a block that extends beyond the image adds only its texels inside the image.
+// Outputs: share          contribution of each pair, product of the units
+// Border rule: none needed, because a pair reads only its own texel.
 
-void kernel(ivec2 block)
+void kernel(ivec2 pair)
 {
-    ivec2 begin = block * BLOCK;
-    ivec2 end = min(begin + BLOCK, textureSize(first, 0));
-    total = 0.0;
-    for (int row = begin.y; row < end.y; ++row) {
-        float along = 0.0;
-        for (int col = begin.x; col < end.x; ++col) {
-            ivec2 at = ivec2(col, row);
-            along += dot(texelFetch(first, at, 0), texelFetch(second, at, 0));
-        }
-        total += along;
-    }
+    ivec2 at = clamped(pair, textureSize(first, 0));
+    share = dot(texelFetch(first, at, 0), texelFetch(second, at, 0));
 }

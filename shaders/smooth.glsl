@@ -16,11 +16,11 @@
 //          straight, diagonal  paper's prior: stiffness ratios (ratios.glsl)
 //          inverse_diagonal  D^-1 of A + W; 0 where a component is fixed; pairs
 //          springs           diagonal matrix W, if SPRINGS; pairs
-//          last              previous step, pixels; pairs
+//          last              previous step, if MOMENTUM; pixels; pairs
 //          coarse            correction of the coarser level, pixels; pairs
 //          first_scale, scale, momentum  no unit
 // Outputs: corrected         correction after the step, pixels; pairs
-//          taken             step, pixels; pairs
+//          taken             step, if CONTINUES with another step; pixels; pairs
 // Border rule: elements and cliques that extend beyond the image do not exist; reads are clamped.
 //
 // Kernels that read sites beyond the neighbours of a pair, such as kernels for blanket cliques,
@@ -32,6 +32,12 @@ uniform float momentum;
 uniform float first_scale;
 #endif
 
+// D^-1 and load at the pair of the current row, and of the row below, as far as `read_row` reads them.
+vec4 inverses_here;
+vec4 inverses_below;
+vec4 load_here;
+vec4 load_below;
+
 void read_row(ivec2 pair, out vec2 row[4])
 {
 #if START == 0
@@ -40,8 +46,10 @@ void read_row(ivec2 pair, out vec2 row[4])
     vec2 inverses[4];
     vec2 values[4];
     read_pairs(inverse_diagonal, pair, inverses);
+    inverses_below = vec4(inverses[1], inverses[2]);
 #if START == 1
     read_pairs(load, pair, values);
+    load_below = vec4(values[1], values[2]);
     for (int k = 0; k < 4; ++k) {
         row[k] = first_scale * inverses[k] * values[k];
     }
@@ -57,18 +65,31 @@ void read_row(ivec2 pair, out vec2 row[4])
 
 void kernel(ivec2 pair)
 {
+    inverses_here = inverses_below;
+    load_here = load_below;
     find_forces(pair);
     ivec2 at = clamped(pair, textureSize(load, 0));
+#if START == 0
+    inverses_here = texelFetch(inverse_diagonal, at, 0);
+#endif
+#if START != 1
+    load_here = texelFetch(load, at, 0);
+#endif
     vec4 d = vec4(here[1], here[2]);
     vec4 pulls = vec4(force[0], force[1]);
 #if SPRINGS
     pulls += texelFetch(springs, at, 0) * d;
 #endif
-    taken = scale * texelFetch(inverse_diagonal, at, 0) * (texelFetch(load, at, 0) - pulls);
+    vec4 step = scale * inverses_here * (load_here - pulls);
 #if START == 0
-    taken += momentum * texelFetch(last, at, 0);
-#elif START == 1
-    taken += momentum * d;
+#if MOMENTUM
+    step += momentum * texelFetch(last, at, 0);
 #endif
-    corrected = d + taken;
+#elif START == 1
+    step += momentum * d;
+#endif
+    corrected = d + step;
+#if CONTINUES
+    taken = step;
+#endif
 }

@@ -1,10 +1,11 @@
 // Compute shader of a kernel, in work groups of GROUP_COLS x GROUP_ROWS texels.
 //
-// A kernel for tissue runs on the listed groups, which contain tissue. If CARRIES, an invocation
-// computes ROWS vertically adjacent texels. Other kernels run in a window.
+// A kernel for tissue runs on the listed groups, which contain tissue. An invocation computes ROWS
+// vertically adjacent texels, and stores only the total of some outputs: their sum or their largest
+// value. Other kernels run in a window.
 //
 // Inputs:  groups      list of groups: (col, row) of each group, in units of groups
-//          first       first row of the list for this dispatch
+//          first_group first row of the list for this dispatch
 //          begin, end  corners of the window, (col, row); for tissue, `end` is the end of the grid
 //          origin      position of texel (0, 0) in the output textures, (col, row)
 // Border rule: texels outside the window or the grid are not stored.
@@ -15,7 +16,7 @@ uniform ivec2 origin;
 uniform ivec2 end;
 #if TISSUE
 uniform sampler2D groups;
-uniform int first;
+uniform int first_group;
 #else
 uniform ivec2 begin;
 #endif
@@ -29,7 +30,7 @@ void run(ivec2 at)
 {
     kernel(at);
     if (all(lessThan(at, end))) {
-        STORE_OUTPUTS(at + origin)
+        STORE_OUTPUTS(at)
     }
 }
 
@@ -37,13 +38,14 @@ void main()
 {
     ivec2 local = ivec2(gl_LocalInvocationID.xy);
 #if TISSUE
-    ivec2 entry = ivec2(gl_WorkGroupID.xy) + ivec2(0, first);
+    ivec2 entry = ivec2(gl_WorkGroupID.xy) + ivec2(0, first_group);
     ivec2 group = ivec2(texelFetch(groups, entry, 0).xy);
     ivec2 at = group * ivec2(GROUP_COLS, GROUP_ROWS) + local * ivec2(1, ROWS);
 #if CARRIES
     enter(at);
 #endif
     RUN_ROWS(at) // unrolled, because loops are slow on a software renderer
+    STORE_TOTALS(ivec2(at.x, at.y / ROWS))
 #else
     run(begin + ivec2(gl_WorkGroupID.xy) * ivec2(GROUP_COLS, GROUP_ROWS) + local);
 #endif

@@ -26,6 +26,8 @@ from napari_hmrf.solver.backends.opengl.scalars import Ratio, values_of
 _PAD = 2
 # Side of the blocks after the first reduction: fewer passes, each with fewer invocations.
 _LATER_BLOCK = 16
+# Side of all blocks if an invocation has combined several rows.
+_LARGE_BLOCK = 32
 
 
 class Vector:
@@ -119,6 +121,7 @@ class GLLevel(CycleLevel[Scalar]):
         self._spare_scalars: list[Any] = []
         self._blocks: dict[tuple[int, ...], Any] = {}
         self._share: Any = None
+        self._peak: Any = None
 
     def vector(self, values: FloatArray | Vector | None = None) -> Vector:
         """Return a vector of zeros, a vector with the given planes, or the given vector."""
@@ -168,15 +171,17 @@ class GLLevel(CycleLevel[Scalar]):
 
     def product(self, a: Vector, b: Vector) -> Scalar:
         """Return the scalar product of two vectors."""
-        return self._reduce("product", {}, [a.texture, b.texture], "sum", {})
+        self._run("product", {}, [a.texture, b.texture], [self._shares()])
+        return self._total("sum", self._share)
 
     def largest(self, a: Vector) -> Scalar:
         """Return the largest absolute value in a vector."""
-        return self._reduce("largest", {"PAIRS": 1}, [a.texture], "largest", {"PAIRS": 0})
+        return self.weigh(a, a)[0]
 
     def weigh(self, a: Vector, b: Vector) -> tuple[Scalar, Scalar]:
         """Return the largest absolute value in `a`, and the scalar product of `a` and `b`."""
-        return self.largest(a), self.product(a, b)
+        self._run("weigh", {}, [a.texture, b.texture], [self._shares(), self._peaks()])
+        return self._total("largest", self._peak), self._total("sum", self._share)
 
     def quotient(self, a: Scalar | Product, b: Scalar | Product) -> Scalar:
         """Return a / b for scalars or products of any sign, or 0 if b is 0."""
@@ -207,7 +212,7 @@ class GLLevel(CycleLevel[Scalar]):
         self._run("advance", signed, inputs, [d.other, rest.other, self._shares()])
         d.turn()
         rest.turn()
-        return self._sum_of_shares()
+        return self._total("sum", self._share)
 
     def add(self, d: Vector, correction: Vector) -> None:
         """Add a vector to `d`, in place."""
@@ -263,34 +268,38 @@ class GLLevel(CycleLevel[Scalar]):
         return texture
 
     def _shares(self) -> Any:
-        """Return the texture that stores each pair's contribution to a sum."""
+        """Return the texture of contributions to a sum, one for each invocation of a kernel."""
         if self._share is None:
-            self._share = self._passes.blank(self._pairs, 1)
+            self._share = self._passes.blank(self._invocations, 1)
         return self._share
 
-    def _sum_of_shares(self) -> Scalar:
-        return self._reduce("sum", {}, [self._share], "sum", {})
+    def _peaks(self) -> Any:
+        """Return the texture of largest values, one for each invocation of a kernel."""
+        if self._peak is None:
+            self._peak = self._passes.blank(self._invocations, 1)
+        return self._peak
 
-    def _reduce(
-        self,
-        first: str,
-        first_defines: dict[str, int],
-        inputs: list[Any],
-        then: str,
-        then_defines: dict[str, int],
-    ) -> Scalar:
-        """Reduce blocks of texels with the kernel `first`, then larger blocks with `then`."""
-        name, defines, grid, block = first, first_defines, self._pairs, BLOCK
+    @property
+    def _invocations(self) -> tuple[int, int]:
+        """Grid of the invocations of a kernel for tissue, (rows, cols)."""
+        rows, cols = self._pairs
+        return -(-rows // self._passes.rows), cols
+
+    def _total(self, kernel: str, values: Any) -> Scalar:
+        """Combine all values of a texture with the kernel "sum" or "largest"."""
+        cols, rows = values.size
+        block = BLOCK if self._passes.rows == 1 else _LARGE_BLOCK
         while True:
-            rows, cols = (-(-size // block) for size in grid)
-            grid = rows, cols
-            scalar = Scalar(self._scalar_texture(), self._spare_scalars) if grid == (1, 1) else None
-            output = scalar.texture if scalar else self._block(grid)
-            program = self._passes.program(name, {"BLOCK": block, **defines})
-            self._passes.run(program, inputs, [output], grid)
+            rows, cols = -(-rows // block), -(-cols // block)
+            scalar = None
+            if (rows, cols) == (1, 1):
+                scalar = Scalar(self._scalar_texture(), self._spare_scalars)
+            output = scalar.texture if scalar else self._block((rows, cols))
+            program = self._passes.program(kernel, {"BLOCK": block})
+            self._passes.run(program, [values], [output], (rows, cols))
             if scalar:
                 return scalar
-            name, defines, inputs, block = then, then_defines, [output], _LATER_BLOCK
+            values, block = output, max(block, _LATER_BLOCK)
 
     def _scalar_texture(self) -> Any:
         return self._spare_scalars.pop() if self._spare_scalars else self._passes.empty((1, 1), 1)

@@ -44,6 +44,11 @@ class Passes(DeviceResources):
         """Return the program of a kernel, compiled on first use."""
         return self.device.program(name, self.stage, defines)
 
+    @property
+    def rows(self) -> int:
+        """Number of texels that an invocation of a kernel for tissue computes."""
+        return self.device.rows if self.stage == "compute" else 1
+
     def run(
         self,
         program: Program,

@@ -40,6 +40,26 @@ _NO_STEP = (0.0, 0.0)
 AS_IS, FROM_ZERO, FROM_COARSE = 0, 1, 2
 
 
+def without_momentum(steps: Steps) -> Steps:
+    """Return two steps without momentum that have the same effect as the given two steps.
+
+    Two steps with scales s_0 and s_1, and the momentum m_1, multiply the error by
+    1 - (s_0 + s_1 + m_1 s_0) A + s_0 s_1 A^2, which is (1 - w_0 A) (1 - w_1 A). Momentum requires
+    another texture. More steps keep it, because rounding errors would grow without it.
+    """
+    if len(steps) != 2:
+        return steps
+    (first, _), (second, momentum) = steps
+    total, product = first + second + momentum * first, first * second
+    root = math.sqrt(max(total**2 - 4 * product, 0.0))
+    return ((total - root) / 2, 0.0), ((total + root) / 2, 0.0)
+
+
+def _need_last(steps: Sequence[tuple[float, float]]) -> bool:
+    """Return whether the first of some steps needs the step before it."""
+    return bool(steps) and steps[0][1] != 0
+
+
 class Model(NamedTuple):
     """Kernels of a prior, with their constants.
 
@@ -121,23 +141,29 @@ class RelaxingLevel(GLLevel):
 
     def ascend(self, steps: Steps, coarse: Self) -> None:
         """Add the interpolated correction of the next coarser level, and smooth."""
-        self._smooth(FROM_COARSE, *steps[0], coarse=coarse)
-        self._relax(steps[1:], from_zero=False)
+        first, *others = without_momentum(steps)
+        self._smooth(FROM_COARSE, *first, coarse=coarse, continues=_need_last(others))
+        self._take(others)
 
     def _relax(self, steps: Steps, from_zero: bool) -> None:
         """Smooth the correction, from zero or from its current value.
 
         From zero, a single pass computes the first two steps, or all steps on a small level.
         """
+        steps = without_momentum(steps)
         if from_zero:
             if len(steps) > _FEW_STEPS and 4 * math.prod(self._pairs) <= _FEW_VALUES:
                 self._relax_at_once(steps)
                 return
             (first, _), (scale, momentum), *_ = (*steps, _NO_STEP)
-            self._smooth(FROM_ZERO, scale, momentum, first=first)
             steps = steps[2:]
-        for step in steps:
-            self._smooth(AS_IS, *step)
+            self._smooth(FROM_ZERO, scale, momentum, first=first, continues=_need_last(steps))
+        self._take(steps)
+
+    def _take(self, steps: Sequence[tuple[float, float]]) -> None:
+        """Run steps from the current correction, of which the first may have a momentum."""
+        for number, step in enumerate(steps, start=1):
+            self._smooth(AS_IS, *step, continues=_need_last(steps[number:]))
 
     def apply(self, direction: Vector, image: Vector) -> Scalar:
         """Compute ``image = A @ direction``; return ``direction . image``."""
@@ -145,7 +171,7 @@ class RelaxingLevel(GLLevel):
         inputs = [direction.texture, *self._tissue_textures, self._inverse]
         outputs = [image.texture, self._shares()]
         self._run(model.apply, model.defines, inputs, outputs, model.uniforms)
-        return self._sum_of_shares()
+        return self._total("sum", self._share)
 
     @property
     def nothing(self) -> Any:
@@ -181,8 +207,12 @@ class RelaxingLevel(GLLevel):
         momentum: float,
         first: float = 0.0,
         coarse: RelaxingLevel | None = None,
+        continues: bool = True,
     ) -> None:
-        """Run one step of the smoother, or two steps if it starts from zero."""
+        """Run one step of the smoother, or two steps if it starts from zero.
+
+        The step is stored only if the next one needs it for its momentum.
+        """
         d, last, unused = self.correction, self._last, self._inverse
         inputs = [
             unused if start == FROM_ZERO else d.texture,
@@ -194,11 +224,14 @@ class RelaxingLevel(GLLevel):
         ]
         values = {"scale": scale, "momentum": momentum, "first_scale": first}
         numbers = {name: np.array([value], np.float32) for name, value in values.items()}
-        defines = {"START": start, **self._defines}
+        needs = {"CONTINUES": int(continues), "MOMENTUM": int(momentum != 0)}
+        defines = {"START": start, **needs, **self._defines}
         uniforms = {**self._model.uniforms, **numbers}
-        self._run(self._model.smooth, defines, inputs, [d.other, last.other], uniforms)
+        outputs = [d.other, last.other] if continues else [d.other]
+        self._run(self._model.smooth, defines, inputs, outputs, uniforms)
         d.turn()
-        last.turn()
+        if continues:
+            last.turn()
 
     def _relax_at_once(self, steps: Steps) -> None:
         """Run all steps from zero as a single pass."""

@@ -65,6 +65,7 @@ class GLSeilerLevel(RelaxingLevel):
         momentum: float,
         first: float = 0.0,
         coarse: RelaxingLevel | None = None,
+        continues: bool = True,
     ) -> None:
         """Run one step of the smoother, or two steps if it starts from zero.
 
@@ -79,7 +80,7 @@ class GLSeilerLevel(RelaxingLevel):
             d.turn()
             last.turn()
             start, coarse = AS_IS, None
-        super()._smooth(start, scale, momentum, first, coarse)
+        super()._smooth(start, scale, momentum, first, coarse, continues)
 
     def _matrix(self) -> Float64Array:
         """Assemble the matrix by columns from the host's forces for unit displacements."""

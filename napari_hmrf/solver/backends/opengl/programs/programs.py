@@ -203,7 +203,7 @@ class _Compute(Compiled):
         else:
             rows, cols = region.bottom - region.top, region.places.width
             region.places.use(len(inputs))
-            self._set_integers("first", region.top)
+            self._set_integers("first_group", region.top)
             self._set_integers("end", *reversed(region.grid))
         if self._first and self._dispatch is not None:
             self._first -= 1

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -51,10 +51,16 @@ class Kernel:
     shared : tuple of str
         Names of the files that the kernel includes besides ``common.glsl``.
     tissue : bool
-        True if the kernel runs only in tissue, because its outputs are 0 elsewhere.
+        True if the kernel runs only in tissue, because its outputs are 0 elsewhere. An invocation
+        of the compute stage may then compute several vertically adjacent texels.
     carries : bool
-        True if an invocation may compute several vertically adjacent texels and reuse values of
-        each texel for the next. These kernels have a function ``enter``.
+        True if an invocation reuses values of each texel for the next. These kernels have a
+        function ``enter``.
+    sums, peaks : tuple of str
+        Outputs of one component of which an invocation stores only the sum, or the largest value,
+        of its texels.
+    optional : mapping of str to str
+        Outputs that the kernel has only if the given definition is not 0.
     of : str
         Name of another kernel that uses the same file but includes other files; empty if the
         kernel has a separate file.
@@ -67,12 +73,23 @@ class Kernel:
     shared: tuple[str, ...] = ()
     tissue: bool = False
     carries: bool = False
+    sums: tuple[str, ...] = ()
+    peaks: tuple[str, ...] = ()
+    optional: Mapping[str, str] = field(default_factory=dict)
     of: str = ""
 
     @property
     def text(self) -> str:
         """Name of the kernel's file, without ``.glsl``."""
         return self.of or self.name
+
+    def outputs_of(self, defines: Mapping[str, Define]) -> dict[str, int]:
+        """Return the outputs of the kernel for given definitions."""
+        return {
+            name: components
+            for name, components in self.outputs.items()
+            if name not in self.optional or defines[self.optional[name]]
+        }
 
 
 _CLIQUES = ("displacement", "straight", "diagonal")
@@ -110,15 +127,17 @@ KERNELS: Mapping[str, Kernel] = {
             "smooth",
             ("displacement", "load", "lame", *_HELD, "last", "coarse"),
             {"corrected": 4, "taken": 4},
-            ("START", "SPRINGS"),
+            ("START", "SPRINGS", "CONTINUES", "MOMENTUM"),
             **_around("elements", "forces", "interpolation"),
+            optional={"taken": "CONTINUES"},
         ),
         Kernel(
             "smooth_cliques",
             ("displacement", "load", "straight", "diagonal", *_HELD, "last", "coarse"),
             {"corrected": 4, "taken": 4},
-            ("START", "SPRINGS", *_READING),
+            ("START", "SPRINGS", "CONTINUES", "MOMENTUM", *_READING),
             **_around("cliques", "ends", "pulls", "interpolation"),
+            optional={"taken": "CONTINUES"},
             of="smooth",
         ),
         Kernel(
@@ -163,6 +182,7 @@ KERNELS: Mapping[str, Kernel] = {
             ("displacement", "lame", "inverse_diagonal"),
             {"image": 4, "share": 1},
             **_around("elements", "forces"),
+            sums=("share",),
         ),
         Kernel(
             "apply_cliques",
@@ -170,6 +190,7 @@ KERNELS: Mapping[str, Kernel] = {
             {"image": 4, "share": 1},
             _READING,
             **_around("cliques", "ends", "pulls"),
+            sums=("share",),
             of="apply",
         ),
         Kernel(
@@ -179,6 +200,8 @@ KERNELS: Mapping[str, Kernel] = {
             ("SIGNED",),
             shared=("scalars",),
             tissue=True,
+            carries=True,
+            sums=("share",),
         ),
         Kernel(
             "turn",
@@ -186,6 +209,7 @@ KERNELS: Mapping[str, Kernel] = {
             {"turned": 4},
             shared=("scalars",),
             tissue=True,
+            carries=True,
         ),
         Kernel(
             "lean",
@@ -195,8 +219,16 @@ KERNELS: Mapping[str, Kernel] = {
         ),
         Kernel("quotient", ("above", "above_by", "below", "below_by"), {"value": 1}),
         Kernel("at_once", ("load", "matrix"), {"corrected": 4}),
-        Kernel("product", ("first", "second"), {"total": 1}, ("BLOCK",)),
-        Kernel("largest", ("values",), {"most": 1}, ("BLOCK", "PAIRS")),
+        Kernel("product", ("first", "second"), {"share": 1}, tissue=True, sums=("share",)),
+        Kernel(
+            "weigh",
+            ("first", "second"),
+            {"share": 1, "peak": 1},
+            tissue=True,
+            sums=("share",),
+            peaks=("peak",),
+        ),
+        Kernel("largest", ("values",), {"most": 1}, ("BLOCK",)),
         Kernel("sum", ("share",), {"total": 1}, ("BLOCK",)),
         Kernel("canary", ("numbers",), {"first": 4, "second": 2, "third": 1}),
     )
@@ -259,7 +291,7 @@ def compose(
         Value for each name in the kernel's ``defines``.
     rows : {1, 2, 4, 8}
         Number of vertically adjacent texels that an invocation of the compute stage computes, if
-        `Kernel.carries` is True. A larger number reduces both reads and parallelism.
+        `Kernel.tissue` is True. A larger number reduces both reads and parallelism.
 
     Raises
     ------
@@ -281,9 +313,9 @@ def compose(
     head.append(f"#define TISSUE {int(kernel.tissue)}")
     head.append(f"#define CARRIES {int(kernel.carries)}")
     if stage == "compute":
-        head += _group(rows if kernel.carries else 1)
+        head += _group(rows if kernel.tissue else 1)
     head += [f"uniform sampler2D {texture};" for texture in kernel.inputs]
-    head += _outputs(kernel, stage)
+    head += _outputs(kernel, stage, given)
     files = ["common", *kernel.shared, kernel.text, f"stage_{stage}"]
     return joined(VERSIONS[stage], head, files)
 
@@ -305,19 +337,28 @@ def _group(rows: int) -> list[str]:
     ]
 
 
-def _outputs(kernel: Kernel, stage: Stage) -> list[str]:
+def _outputs(kernel: Kernel, stage: Stage, defines: Mapping[str, Define]) -> list[str]:
     """Return the declarations of a kernel's outputs: render targets, or variables and images."""
+    outputs = kernel.outputs_of(defines)
     if stage == "fragment":
         return [
             f"layout(location = {target}) out {_TYPES[components]} {name};"
-            for target, (name, components) in enumerate(kernel.outputs.items())
+            for target, (name, components) in enumerate(outputs.items())
         ]
-    lines = [f"{_TYPES[components]} {name};" for name, components in kernel.outputs.items()]
-    stores = []
-    for target, name in enumerate(kernel.outputs):
+    lines = [f"{_TYPES[components]} {name};" for name, components in outputs.items()]
+    each, whole = [], []
+    for target, name in enumerate(outputs):
         lines.append(f"layout(binding = {target}) uniform writeonly image2D {name}_image;")
-        stores.append(f"imageStore({name}_image, at, texel({name}));")
-    return [*lines, f"#define STORE_OUTPUTS(at) {' '.join(stores)}"]
+        if name in (*kernel.sums, *kernel.peaks):
+            lines.append(f"float whole_{name} = 0.0;")
+            both = f"whole_{name}, {name}"
+            combined = f"max({both})" if name in kernel.peaks else both.replace(",", " +")
+            each.append(f"whole_{name} = {combined};")
+            whole.append(f"imageStore({name}_image, at, texel(whole_{name}));")
+        else:
+            each.append(f"imageStore({name}_image, at + origin, texel({name}));")
+    stores = f"#define STORE_OUTPUTS(at) {' '.join(each)}"
+    return [*lines, stores, f"#define STORE_TOTALS(at) {' '.join(whole)}"]
 
 
 def joined(version: int, head: list[str], names: list[str]) -> Source:
