@@ -355,7 +355,7 @@ class _StepSolver:
             cancel=self._cancel,
             rest_loose=True,
         )
-        if not base.rigid.any():
+        if not base.has_rigid:
             return solution
         # The solver rotates rigid tissue to first order. An exact rotation replaces it.
         exact = turned(solution.displacement, base.stiffness, base.spacing)

@@ -23,6 +23,7 @@ from napari_hmrf.solver.backends.planes import HeldPlanes, Planes
 from napari_hmrf.solver.backends.planes import field as field
 from napari_hmrf.solver.backends.planes import inside as inside
 from napari_hmrf.solver.backends.planes import planes as planes
+from napari_hmrf.solver.backends.planes import work_of as work_of
 
 if TYPE_CHECKING:
     from napari_hmrf.solver.problem import Problem

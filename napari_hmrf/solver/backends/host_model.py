@@ -20,7 +20,7 @@ from napari_hmrf.solver.backends.linear import (
     Review,
     Steps,
 )
-from napari_hmrf.solver.backends.planes import planes
+from napari_hmrf.solver.backends.planes import planes, work_of
 from napari_hmrf.solver.backends.rigid.bodies import Bodies, BodySites
 from napari_hmrf.solver.backends.rigid.deflation import Deflation
 
@@ -127,9 +127,8 @@ class HostModel:
         """Return what decides whether a displacement, shape (H, W, 2), is a solution."""
         d = planes(values)
         balance, (energy, forces) = self.balance(d, load), self.work(d)
-        work = 0.0 if load is None else float(np.einsum("i,i->", load.ravel(), d.ravel()))
         farthest = float(np.abs(values).max())
-        return Review(balance.most, balance.norm, energy, forces, work, farthest)
+        return Review(balance.most, balance.norm, energy, forces, work_of(load, d), farthest)
 
     def work(self, d: Planes) -> tuple[float, float]:
         """Return the energy of a displacement, and the norm of its forces A d."""

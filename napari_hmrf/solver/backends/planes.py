@@ -28,3 +28,10 @@ def inside(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
 def field(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Return a view of planes as a field without the border, shape (H, W, 2) or (D, H, W, 3)."""
     return np.moveaxis(inside(values), 0, -1)
+
+
+def work_of(load: Planes | None, d: Planes) -> float:
+    """Return the work done by forces over a displacement, in the model's units."""
+    # `einsum`, because a large product in BLAS starts threads, which would occupy the cores that
+    # the solve needs.
+    return 0.0 if load is None else float(np.einsum("i,i->", load.ravel(), d.ravel()))

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.solver.backends import host
 from napari_hmrf.solver.backends.linear import Planes
 from napari_hmrf.solver.data_term import DataTerm
-from napari_hmrf.solver.optimizers.loading import work_of
 
 # Largest force of an observation in the tangent system, as a fraction of its limit.
 _LARGEST_SHARE = 1 - 1e-9
@@ -43,7 +43,7 @@ class ExternalForces:
 
     def energy(self, d: Planes) -> float:
         """Return the potential energy of the loads and the data at a displacement."""
-        energy = -work_of(self._load, d)
+        energy = -host.work_of(self._load, d)
         if self._data is not None:
             energy += self._data.term.derivative(d, self._data.observed)[1]
         return energy

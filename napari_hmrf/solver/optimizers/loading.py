@@ -98,13 +98,6 @@ def with_data(
     return LoadForces(forces if pulls is None else forces + pulls, energy + own)
 
 
-def work_of(load: Planes | None, d: Planes) -> float:
-    """Return the work done by forces over a displacement, in the model's units."""
-    # `einsum`, because a large product in BLAS starts threads, which would occupy the cores that
-    # the solve needs.
-    return 0.0 if load is None else float(np.einsum("i,i->", load.ravel(), d.ravel()))
-
-
 def check_reach(d: Planes, problem: Problem) -> None:
     """Raise an error if loads or data move tissue far beyond the image.
 
@@ -172,7 +165,7 @@ def check_balanced(
     largest = limit.ravel()[at]
     for ways in free_motions(problem, host.field(fixed)):
         motions = [host.planes(way) for way in ways]
-        demand = np.array([work_of(load, motion) for motion in motions])
+        demand = np.array([host.work_of(load, motion) for motion in motions])
         if np.abs(demand).max() <= _ROUNDING * total:
             continue
         stops = np.stack([motion.ravel()[at] for motion in motions])

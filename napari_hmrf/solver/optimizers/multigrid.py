@@ -36,7 +36,6 @@ from napari_hmrf.solver.optimizers.loading import (
     check_reach,
     load_forces,
     with_data,
-    work_of,
 )
 from napari_hmrf.solver.optimizers.refinement import Refinement
 from napari_hmrf.solver.optimizers.slip import Slip
@@ -167,7 +166,7 @@ class Multigrid:
                 refinement.run(d, pulls, self.tolerance, self._quality(start, model))
                 compute_thread.check_cancelled()
                 energy, forces = model.work(d)
-                refinement.set_energy(energy + stored - work_of(pulls, d))
+                refinement.set_energy(energy + stored - host.work_of(pulls, d))
             else:
                 y, d = d, d.copy()
                 moves = model.steepness > 0

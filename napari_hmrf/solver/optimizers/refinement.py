@@ -218,10 +218,9 @@ class Refinement:
         balance = self._model.balance(d, load)
         self.residual, self._low, self._gains = balance.norm, None, []
         self._unseen_error = 0.0
-        if known is not None and known.suffices(tolerance, balance.norm):
-            self.error = known.error
-            self.estimate = min(_REPORTED * known.error, tolerance)
-        elif balance.most == 0:
+        if self._keeps(known, balance, tolerance):
+            return
+        if balance.most == 0:
             self.error = self.estimate = 0.0
         elif self._model.earlier.factors is not None or not self._iterate(
             d, load, tolerance, balance
@@ -253,9 +252,8 @@ class Refinement:
             return None
         if known is not None:
             review = d.review()
-            if known.suffices(tolerance, review.norm):
-                self.residual, self.error = review.norm, known.error
-                self.estimate = min(_REPORTED * known.error, tolerance)
+            if self._keeps(known, review, tolerance):
+                self.residual = review.norm
                 return review
         balance, before = d.balance(), math.inf
         if balance.most == 0:
@@ -438,6 +436,13 @@ class Refinement:
             self.estimate += deflation.remaining_distance(balance.rest) * balance.unit
         self._unseen_error = _LEAST_MARGIN * step.worst_reach * self.residual
         return self.worst
+
+    def _keeps(self, known: Quality | None, found: Balance | Review, tolerance: float) -> bool:
+        """Return whether the initial displacement is good enough, and take over its error."""
+        if known is None or not known.suffices(tolerance, found.norm):
+            return False
+        self.error, self.estimate = known.error, min(_REPORTED * known.error, tolerance)
+        return True
 
     def _accept(self, tolerance: float) -> None:
         """Report the estimated error, which is within the tolerance."""

@@ -29,7 +29,6 @@ from napari_hmrf.solver.data_term import DataTerm, packed_axes
 from napari_hmrf.solver.optimizers import least_motion
 from napari_hmrf.solver.optimizers.base import Report
 from napari_hmrf.solver.optimizers.external_forces import SoftObservations
-from napari_hmrf.solver.optimizers.loading import work_of
 from napari_hmrf.solver.optimizers.refinement import Refinement, add
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.rigid_modes import free_motions
@@ -150,7 +149,7 @@ class Slip:
         """Return the total energy of a displacement."""
         of_observations = float((self._limit * np.abs(self._off(d))).sum())
         of_tissue, _ = self._model.work(d)
-        return of_tissue + of_observations + self._stored - work_of(self._load, d)
+        return of_tissue + of_observations + self._stored - host.work_of(self._load, d)
 
     def _planes(self, values: Float64Array) -> Planes:
         planes: Planes = np.zeros(self._y.shape)
@@ -308,7 +307,7 @@ class Slip:
         load = self._with_load(self._planes(sides * self._limit))
         motions = []
         for ways in self._free_in_result(holds & below):
-            work = np.array([work_of(load, host.planes(way)) for way in ways])
+            work = np.array([host.work_of(load, host.planes(way)) for way in ways])
             if all(_works_nothing(load, way) for way in ways):
                 motions.append(ways)
             elif len(ways) > 1:  # combinations over which the forces do no work

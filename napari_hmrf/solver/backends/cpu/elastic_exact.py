@@ -206,14 +206,6 @@ def _rest_line(force, load, given, inverse, out):
         out[j] = rest if inverse[j] > float32(0) else rest - rest
 
 
-@contracted_reduction
-def _product_of(a, b):
-    total = 0.0
-    for j in range(len(a)):
-        total += a[j] * b[j]
-    return total
-
-
 @callee
 def _review_part(values, load, given, lame, inverse, where, shape, totals, first, last):
     sites = slice(2, 2 + values.shape[1] // 2)
@@ -233,11 +225,8 @@ def _review_part(values, load, given, lame, inverse, where, shape, totals, first
         if count == 0:
             continue
         past, until = here + count, column + count
-        (row, col), (row_below, col_below) = (
-            pair(lines, column, until),
-            pair(lines[2:], column, until),
-        )
-        rows, moduli = (row, row_below, col, col_below), pair(lame, here, past)
+        (row, col), below = pair(lines, column, until), pair(lines[2:], column, until)
+        rows, moduli = (row, below[0], col, below[1]), pair(lame, here, past)
         carried, force = pair(carry, column, until), pair(forces, column, until)
         _pull_row(rows, moduli, shape, carried, force)
         if i < first:
@@ -250,10 +239,10 @@ def _review_part(values, load, given, lame, inverse, where, shape, totals, first
             _rest_line(inner, pull, given, inverse[k, here + 1 : past - 1], left)
             most = max(most, line_largest(left))
             totals[1, i] += line_product(left, left)
-            totals[2, i] -= _product_of(line, inner)
-            totals[3, i] += _product_of(inner, inner)
+            totals[2, i] -= line_product(line, inner)
+            totals[3, i] += line_product(inner, inner)
             if given != 0:
-                totals[4, i] += _product_of(line, pull)
+                totals[4, i] += line_product(line, pull)
         totals[0, i] = np.int32(most).view(np.float32)
         totals[5, i] = np.int32(line_largest(values[i])).view(np.float32)
 
