@@ -1,27 +1,28 @@
 // All smoothing steps of a small level from zero, as one product of a matrix and the load.
 //
-//     corrected(p) = sum over the pairs q of matrix(p, q) load(q),    with blocks of 4 x 4 values
+//     corrected(p) = sum over the pairs q with unknowns of matrix(p, q) load(q)
 //
 // Inputs:  load    load of the level, pixels times stiffness; pairs
-//          matrix  1 / stiffness; row p belongs to pair p, in row-major order of the pairs, and
-//                  texel 4 q + k contains the effect of value k of pair q on the values of pair p
+//          matrix  1 / stiffness, in blocks of 4 x 4 values; row `number` belongs to a pair with
+//                  unknowns, and texel 4 q + k contains the effect of value k of pair q
+//          number  number of each pair with unknowns, -1 for other pairs
+//          places  (col, row) of each pair with unknowns, in one row
 // Outputs: corrected  correction, pixels; pairs
 // Border rule: none needed, because each pair is read once.
 
 void kernel(ivec2 pair)
 {
-    ivec2 size = textureSize(load, 0);
-    ivec2 at = clamped(pair, size);
-    int number = at.y * size.x + at.x;
+    int row = int(texelFetch(number, clamped(pair, textureSize(load, 0)), 0).x);
     corrected = vec4(0.0);
-    int texel = 0;
-    for (int row = 0; row < size.y; ++row) {
-        for (int col = 0; col < size.x; ++col, texel += 4) {
-            vec4 by = texelFetch(load, ivec2(col, row), 0);
-            corrected += by.x * texelFetch(matrix, ivec2(texel, number), 0)
-                + by.y * texelFetch(matrix, ivec2(texel + 1, number), 0)
-                + by.z * texelFetch(matrix, ivec2(texel + 2, number), 0)
-                + by.w * texelFetch(matrix, ivec2(texel + 3, number), 0);
-        }
+    if (row < 0) {
+        return;
+    }
+    int count = textureSize(places, 0).x;
+    for (int q = 0; q < count; ++q) {
+        vec4 by = texelFetch(load, ivec2(texelFetch(places, ivec2(q, 0), 0).xy), 0);
+        corrected += by.x * texelFetch(matrix, ivec2(4 * q, row), 0)
+            + by.y * texelFetch(matrix, ivec2(4 * q + 1, row), 0)
+            + by.z * texelFetch(matrix, ivec2(4 * q + 2, row), 0)
+            + by.w * texelFetch(matrix, ivec2(4 * q + 3, row), 0);
     }
 }

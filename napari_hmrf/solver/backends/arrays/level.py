@@ -40,8 +40,8 @@ class ArrayLevel:
 
     steep: Vector
     diagonal: Vector
-    #: False, because these levels run no cycles.
-    finishes_cycle = False
+    #: None, because these levels run no cycles.
+    responses = None
 
     def __init__(self, grid: tuple[int, ...], finest: bool) -> None:
         self.grid = grid

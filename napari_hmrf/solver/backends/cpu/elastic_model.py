@@ -140,6 +140,12 @@ def _cycle(shape: Vector, values: Vector, table: npt.NDArray[np.int64], *paces: 
     small.cycle(values, table, shape, *paces)
 
 
+def _responses(
+    shape: Vector, values: Vector, table: npt.NDArray[np.int64], *others: npt.NDArray[Any]
+) -> None:
+    small.responses(values, table, shape, *others)
+
+
 def _data_cycle(
     shape: Vector, values: Vector, table: npt.NDArray[np.int64], *paces: Vector
 ) -> None:
@@ -180,9 +186,11 @@ class CpuElasticModel(HostModel):
         def level(grid: tuple[int, ...], memory: Mapping[str, Vector]) -> CpuElasticLevel:
             return CpuElasticLevel(grid, shape, memory=memory, has_data=has_data)
 
-        planes = small.DATA_PLANES if has_data else small.PLANES
-        cycle = partial(_data_cycle if has_data else _cycle, shape)
-        return SmallLevels(little, int(planes), level, cycle)
+        if has_data:
+            cycle = partial(_data_cycle, shape)
+            return SmallLevels(little, int(small.DATA_PLANES), level, cycle)
+        loops = partial(_cycle, shape), partial(_responses, shape)
+        return SmallLevels(little, int(small.PLANES), level, *loops)
 
     def fits(self, material: ElasticMaterial, whole: bool) -> bool:
         """Return whether `assemble` can reuse this model for a material and a layout."""

@@ -86,6 +86,8 @@ class CpuLevel:
     diagonal: Vector | None = None
     #: Cycle over this level and all coarser levels in a single call, if there is one.
     cycle_to_coarsest: Callable[[Steps, Steps], Vector] | None = None
+    #: Corrections of that cycle for several unit loads (`SmallLevels.responses`).
+    responses: Callable[[Steps, Steps, npt.NDArray[np.int64]], Vector] | None = None
     #: True if the loops of the model apply the blocks of the data term.
     loops_apply_data: bool = False
     #: True if a second visit within a cycle is worth its cost.

@@ -13,7 +13,15 @@ import numpy as np
 from numba import float32
 
 from napari_hmrf.solver.backends.cpu import forces, small_cycle
-from napari_hmrf.solver.backends.cpu.compiled import ALONE, callee, disjoint_callee, shared, strict
+from napari_hmrf.solver.backends.cpu.compiled import (
+    ALONE,
+    callee,
+    disjoint_callee,
+    portion,
+    scratch_parallel,
+    shared,
+    strict,
+)
 from napari_hmrf.solver.backends.cpu.data_weights import filtered, relaxed
 
 #: Number of model planes per level: the two Lame parameters.
@@ -61,6 +69,25 @@ _cycle = small_cycle.cycle_of(PLANES, small_cycle.start, _smooth, _residual, sma
 def cycle(values, table, shape, down, up, coarsest):
     """Run a V-cycle over small levels; see `small_cycle.cycle_of`."""
     _cycle(values, table, shape, down, up, coarsest)
+
+
+@scratch_parallel
+def responses(thread, values, table, shape, down, up, coarsest, number, at, found):
+    """Run a V-cycle for a unit load at each of several values of the first level.
+
+    `at` contains the indices of the values in the flattened planes of the level, and `number` the
+    array with its correction. The correction at value l for a load at value k is ``found[k, l]``.
+    """
+    own = values.copy()
+    load = small_cycle.plane(own, table, 0, small_cycle.LOAD).reshape(-1)
+    correction = small_cycle.plane(own, table, 0, number).reshape(-1)
+    load[:] = float32(0)
+    for k in portion(thread, len(at)):
+        load[at[k]] = float32(1)
+        _cycle(own, table, shape, down, up, coarsest)
+        load[at[k]] = float32(0)
+        for column in range(len(at)):
+            found[k, column] = correction[at[column]]
 
 
 # With a data term, the last two planes of a level are those of `data_weights.couple`: the mixed

@@ -31,7 +31,7 @@ def _planes(values, table, k, first, count):
 
 
 @callee
-def _plane(values, table, k, number):
+def plane(values, table, k, number):
     """Return array `number` of level k, shape (2, H + 4, W + 4)."""
     return _planes(values, table, k, number, 2)
 
@@ -80,14 +80,14 @@ def cycle_of(planes: Any, begin: Any, smooth: Any, rest: Any, add_coarse: Any) -
     def relax(values, table, about, k, steps, begun, turned):
         """Smooth on level k; return True if the correction is then in `OTHER`."""
         inverse, load, weight, own = (
-            _plane(values, table, k, INVERSE),
-            _plane(values, table, k, LOAD),
-            _plane(values, table, k, WEIGHT),
+            plane(values, table, k, INVERSE),
+            plane(values, table, k, LOAD),
+            plane(values, table, k, WEIGHT),
             _planes(values, table, k, MODEL, planes),
         )
         for number in range(begun, len(steps)):
-            d = _plane(values, table, k, OTHER if turned else CORRECTION)
-            out = _plane(values, table, k, CORRECTION if turned else OTHER)
+            d = plane(values, table, k, OTHER if turned else CORRECTION)
+            out = plane(values, table, k, CORRECTION if turned else OTHER)
             scale, ahead, back = steps[number, 0], steps[number, 1], steps[number, 2]
             smooth(d, load, own, inverse, weight, about, out, scale, ahead, back)
             turned = not turned
@@ -106,23 +106,23 @@ def cycle_of(planes: Any, begin: Any, smooth: Any, rest: Any, add_coarse: Any) -
         last = len(table) - 1
         for k in range(last + 1):
             steps = coarsest if k == last else down
-            load, inverse = _plane(values, table, k, LOAD), _plane(values, table, k, INVERSE)
+            load, inverse = plane(values, table, k, LOAD), plane(values, table, k, INVERSE)
             own = _planes(values, table, k, MODEL, planes)
-            begin(load, own, inverse, _plane(values, table, k, CORRECTION), steps[0, 0])
+            begin(load, own, inverse, plane(values, table, k, CORRECTION), steps[0, 0])
             turned = relax(values, table, about, k, steps, 1, False)
             if k < last:
-                d = _plane(values, table, k, OTHER if turned else CORRECTION)
-                weight, left = _plane(values, table, k, WEIGHT), _plane(values, table, k, REST)
+                d = plane(values, table, k, OTHER if turned else CORRECTION)
+                weight, left = plane(values, table, k, WEIGHT), plane(values, table, k, REST)
                 rest(d, load, own, inverse, weight, about, left)
-                _restrict(ALONE, left, _plane(values, table, k + 1, LOAD))
+                _restrict(ALONE, left, plane(values, table, k + 1, LOAD))
         for back in range(last):
             k = last - 1 - back
             below = (len(coarsest) if back == 0 else len(down) + len(up)) % 2 == 1
-            coarse = _plane(values, table, k + 1, CORRECTION if below else OTHER)
+            coarse = plane(values, table, k + 1, CORRECTION if below else OTHER)
             turned = len(down) % 2 == 0
-            d = _plane(values, table, k, OTHER if turned else CORRECTION)
-            spare = _plane(values, table, k, CORRECTION if turned else OTHER)
-            inverse, weight = _plane(values, table, k, INVERSE), _plane(values, table, k, WEIGHT)
+            d = plane(values, table, k, OTHER if turned else CORRECTION)
+            spare = plane(values, table, k, CORRECTION if turned else OTHER)
+            inverse, weight = plane(values, table, k, INVERSE), plane(values, table, k, WEIGHT)
             own = _planes(values, table, k, MODEL, planes)
             add_coarse(coarse, d, spare, own, inverse, weight)
             relax(values, table, about, k, up, 0, turned)

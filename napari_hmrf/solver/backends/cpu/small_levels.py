@@ -7,11 +7,13 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from napari_hmrf.solver.backends.cpu import small_cycle
 from napari_hmrf.solver.backends.cpu.level import Vector, paces_of
 from napari_hmrf.solver.backends.linear import Steps
 
+Indices = npt.NDArray[np.int64]
 Grids = Sequence[tuple[int, ...]]
 
 # Number of sites below which a level is small, and number of finest levels that are never treated
@@ -45,6 +47,9 @@ class SmallLevels:
         model planes "own".
     cycle : callable
         V-cycle: ``cycle(values, table, down, up, coarsest)``.
+    responses : callable, optional
+        Several V-cycles, such as `small.responses`, with the arguments of `cycle` and
+        ``number, at, found``.
     """
 
     def __init__(
@@ -53,8 +58,10 @@ class SmallLevels:
         planes: int,
         level: Callable[[tuple[int, ...], Mapping[str, Vector]], Any],
         cycle: Callable[..., None],
+        responses: Callable[..., None] | None = None,
     ) -> None:
         self._grids, self._planes, self._level, self._cycle = grids, planes, level, cycle
+        self._responses = responses
         shapes = [tuple(side + 4 for side in grid) for grid in grids]
         arrays = 2 * int(small_cycle.MODEL)
         starts = np.cumsum([0, *((arrays + planes) * height * width for height, width in shapes)])
@@ -68,26 +75,60 @@ class SmallLevels:
             self.levels.append(level(grid, memory))
         for number, made in enumerate(self.levels):
             made.cycle_to_coarsest = partial(self.cycle, number)
+            if responses is not None:
+                made.responses = partial(self.responses, number)
 
     def copy(self) -> SmallLevels:
         """Return a copy of all levels."""
-        made = SmallLevels(self._grids, self._planes, self._level, self._cycle)
+        made = SmallLevels(self._grids, self._planes, self._level, self._cycle, self._responses)
         np.copyto(made._values, self._values)
         return made
 
     def cycle(self, first: int, steps: Steps, coarsest: Steps) -> Vector:
         """Run a V-cycle from a small level, 0 for the finest, and return its correction."""
-        self._cycle(
+        self._cycle(*self._arguments(first, steps, coarsest))
+        correction, other = self._pairs[first]
+        in_correction = self._place(first, steps, coarsest) == small_cycle.CORRECTION
+        return correction if in_correction else other
+
+    def responses(self, first: int, steps: Steps, coarsest: Steps, at: Indices) -> Vector:
+        """Return the corrections of a V-cycle for a unit load at each of several values of a level.
+
+        Parameters
+        ----------
+        first : int
+            Number of the level, 0 for the finest.
+        steps, coarsest : sequence of (float, float)
+            Smoothing steps on each level, and on the coarsest level.
+        at : ndarray of int64, shape (N,)
+            Indices of the values in the flattened planes of the level.
+
+        Returns
+        -------
+        ndarray, shape (N, N)
+            Correction at each of the values, in a row for each load.
+        """
+        assert self._responses is not None
+        found: Vector = np.empty((len(at), len(at)), np.float32)
+        number = self._place(first, steps, coarsest)
+        self._responses(*self._arguments(first, steps, coarsest), number, at, found)
+        return found
+
+    def _arguments(self, first: int, steps: Steps, coarsest: Steps) -> tuple[Any, ...]:
+        """Return the arguments of a V-cycle from a small level."""
+        return (
             self._values,
             self._table[first:],
             paces_of(steps, from_zero=True),
             paces_of(steps, from_zero=False),
             paces_of(coarsest, from_zero=True),
         )
+
+    def _place(self, first: int, steps: Steps, coarsest: Steps) -> np.int64:
+        """Return which array of a level contains its correction after a V-cycle."""
         is_last = first == len(self.levels) - 1
         number = len(coarsest) if is_last else 2 * len(steps)
-        found: Vector = self._pairs[first][0 if number % 2 == 1 else 1]
-        return found
+        return small_cycle.CORRECTION if number % 2 == 1 else small_cycle.OTHER
 
 
 def _memory(values: Vector) -> dict[str, Vector]:

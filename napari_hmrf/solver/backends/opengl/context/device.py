@@ -161,8 +161,11 @@ class Device:
         self.finish()
         buffer.write(np.ascontiguousarray(values))
 
-    def texture(self, shape: tuple[int, ...], components: int) -> Any:
-        """Allocate a float32 texture of (rows, cols) texels; raise `BackendError` on failure."""
+    def texture(self, shape: tuple[int, ...], components: int, data: Any = None) -> Any:
+        """Allocate a float32 texture of (rows, cols) texels; raise `BackendError` on failure.
+
+        The texture contains the bytes of the buffer `data`, or is not initialized.
+        """
         height, width = shape
         size = height * width * components * 4
         description = f"an image of {height} x {width} texels ({size / 2**20:.0f} MiB)"
@@ -174,7 +177,7 @@ class Device:
             )
         self.check("computing")
         try:
-            texture = self.ctx.texture((width, height), components, dtype="f4")
+            texture = self.ctx.texture((width, height), components, data, dtype="f4")
         except Exception as error:  # noqa: BLE001 - moderngl raises its own and plain exceptions
             self.lose(f"allocating {description}: {error}")
         failure = self.ctx.error

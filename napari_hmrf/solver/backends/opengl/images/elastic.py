@@ -64,10 +64,12 @@ class GLElasticModel(GLModel):
     """
 
     def __init__(self, passes: Passes, host: LinearModel) -> None:
-        shape = host.material.shape
-        super().__init__(
-            passes, host, [GLElasticLevel(passes, level, shape) for level in host.levels]
-        )
+        levels: list[GLElasticLevel] = []
+        for level in host.levels:
+            levels.append(GLElasticLevel(passes, level, host.material.shape))
+            if levels[-1].finishes_cycle:
+                break
+        super().__init__(passes, host, levels)
 
     @staticmethod
     def host_of(material: ElasticMaterial) -> LinearModel:

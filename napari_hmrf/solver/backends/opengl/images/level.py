@@ -33,6 +33,8 @@ _LARGE_BLOCK = 32
 class Vector:
     """Vector of two components on a level's sites, stored in pairs.
 
+    The textures are created on first use.
+
     Parameters
     ----------
     acquire : callable
@@ -43,29 +45,32 @@ class Vector:
 
     def __init__(self, acquire: Callable[[], Any], spare: list[Any]) -> None:
         self._zero_texture, self._spare = acquire, spare
-        self._textures: list[Any] = []  # `__del__` uses the list even if `acquire` fails
-        self._textures.append(acquire())
+        self._textures: list[Any] = []
 
     @property
     def texture(self) -> Any:
         """Texture with the current values."""
-        return self._textures[0]
+        return self._made(1)[0]
 
     @property
     def other(self) -> Any:
         """Texture to which a kernel writes the next values; 0 outside tissue."""
-        if len(self._textures) == 1:
-            self._textures.append(self._zero_texture())
-        return self._textures[1]
+        return self._made(2)[1]
 
     def turn(self) -> None:
         """Swap the two textures, so that the next values become the current values."""
-        self._textures.reverse()
+        self._made(2).reverse()
 
     def shed(self) -> None:
         """Release the texture for the next values."""
         self._spare += self._textures[1:]
         del self._textures[1:]
+
+    def _made(self, count: int) -> list[Any]:
+        """Return the textures, after creating the first `count` of them."""
+        while len(self._textures) < count:
+            self._textures.append(self._zero_texture())
+        return self._textures
 
     def __del__(self) -> None:
         self._spare += self._textures

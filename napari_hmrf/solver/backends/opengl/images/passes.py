@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -20,6 +21,10 @@ from napari_hmrf.solver.backends.opengl.programs.regions import (
     window_around,
 )
 from napari_hmrf.solver.backends.opengl.programs.source import Stage
+
+# Largest texture that is created from zeros, in bytes. A framebuffer, which clears a larger one, is
+# slow to create.
+_FEW_ZEROS = 2**20
 
 
 class Passes(DeviceResources):
@@ -81,22 +86,26 @@ class Passes(DeviceResources):
 
     def texture(self, values: npt.NDArray[np.float32]) -> Any:
         """Create a texture from an array of shape (rows, cols, components)."""
-        made = self.device.texture(values.shape[:2], values.shape[2])
-        self._own.append(made)
-        made.write(np.ascontiguousarray(values))
-        return made
+        data = np.ascontiguousarray(values)
+        return self._owned(self.device.texture(values.shape[:2], values.shape[2], data))
 
     def empty(self, grid: tuple[int, ...], components: int) -> Any:
         """Create an uninitialized texture."""
-        made = self.device.texture(grid, components)
-        self._own.append(made)
-        return made
+        return self._owned(self.device.texture(grid, components))
 
     def blank(self, grid: tuple[int, ...], components: int) -> Any:
         """Create a texture of zeros."""
+        size = 4 * math.prod(grid) * components
+        if size <= _FEW_ZEROS:
+            return self._owned(self.device.texture(grid, components, bytes(size)))
         made = self.empty(grid, components)
         self.clear(made)
         return made
+
+    def _owned(self, texture: Any) -> Any:
+        """Return a texture that `close` frees."""
+        self._own.append(texture)
+        return texture
 
     @property
     def unit(self) -> Any:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -21,6 +22,7 @@ from napari_hmrf.solver.backends.opengl.programs.programs import Uniforms
 from napari_hmrf.solver.backends.planes import inside
 
 Float64Array = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.int64]
 
 # On a level with at most `_FEW_VALUES` values, more than `_FEW_STEPS` smoothing steps are run as a
 # single pass with a dense matrix, which is faster.
@@ -98,8 +100,8 @@ class RelaxingLevel(GLLevel):
     ) -> None:
         super().__init__(passes, host.grid, shown)
         self._host, self._model = host, model
-        self._inverse = passes.blank(self._pairs, 4)
-        self._springs = None if host.weight is None else passes.blank(self._pairs, 4)
+        self._inverse = passes.empty(self._pairs, 4)
+        self._springs = None if host.weight is None else passes.empty(self._pairs, 4)
         self._defines = {"SPRINGS": int(self._springs is not None), **model.defines}
         # Textures that depend on the tissue, and on the prescribed components.
         self._tissue_textures: list[Any] = []
@@ -122,12 +124,13 @@ class RelaxingLevel(GLLevel):
     def finishes_cycle(self) -> bool:
         """True if `finish` also processes all coarser levels, as those of the host can."""
         is_small = 4 * math.prod(self._pairs) <= _FEW_TO_FINISH
-        return is_small and bool(self._host.finishes_cycle)
+        return is_small and self._host.responses is not None
 
     def finish(self, steps: Steps, coarsest: Steps) -> None:
         """Compute the correction, on all coarser levels in a single pass if that is possible."""
         if self.finishes_cycle:
-            self._apply_matrix(("cycle", steps, coarsest), lambda: self._cycle(steps, coarsest))
+            matrix_of = partial(self._cycle, steps, coarsest)
+            self._apply_matrix(("cycle", steps, coarsest), matrix_of)
         else:
             super().finish(steps, coarsest)
 
@@ -219,7 +222,7 @@ class RelaxingLevel(GLLevel):
             self.load.texture,
             *self._tissue_textures,
             *self._held_textures,
-            last.texture if start == AS_IS else unused,
+            last.texture if start == AS_IS and momentum != 0 else unused,
             unused if coarse is None else coarse.correction.texture,
         ]
         values = {"scale": scale, "momentum": momentum, "first_scale": first}
@@ -235,36 +238,41 @@ class RelaxingLevel(GLLevel):
 
     def _relax_at_once(self, steps: Steps) -> None:
         """Run all steps from zero as a single pass."""
-        self._apply_matrix(tuple(steps), lambda: self._smoother(steps))
+        self._apply_matrix(tuple(steps), partial(self._smoother, steps))
 
-    def _apply_matrix(self, key: Any, matrix_of: Callable[[], Any]) -> None:
-        """Multiply the load by a matrix, which is computed once for its key, in a single pass."""
+    def _apply_matrix(self, key: Any, texels_of: Callable[[Indices], FloatArray]) -> None:
+        """Multiply the load by a matrix, which is computed once for its key, in a single pass.
+
+        `texels_of` returns the matrix, shape (N, 4 N, 4), of the N pairs with the given indices:
+        texel (p, 4 q + k) contains the effect of value k of pair q on the values of pair p.
+        """
         if key not in self._matrices:
-            matrix = matrix_of()
-            count = matrix.shape[0] // 4
-            texels = matrix.reshape(count, 4, -1).swapaxes(1, 2)
-            self._matrices[key] = self._passes.texture(texels.astype(np.float32))
+            rows, cols = self._pairs
+            at = np.flatnonzero((stored_planes(self._host.inverse) > 0).any(axis=2))
+            number = np.full((rows * cols, 1), -1, np.float32)
+            number[at, 0] = np.arange(len(at))
+            places = np.stack([at % cols, at // cols], axis=1).astype(np.float32)[None]
+            arrays = texels_of(at), number.reshape(rows, cols, 1), places
+            self._matrices[key] = [self._passes.texture(each) for each in arrays]
         program = self._passes.program("at_once")
-        inputs, outputs = [self.load.texture, self._matrices[key]], [self.correction.other]
-        self._passes.run(program, inputs, outputs, self._pairs)
+        inputs = [self.load.texture, *self._matrices[key]]
+        self._passes.run(program, inputs, [self.correction.other], self._pairs)
         self.correction.turn()
 
-    def _cycle(self, steps: Steps, coarsest: Steps) -> FloatArray:
+    def _cycle(self, steps: Steps, coarsest: Steps, at: Indices) -> FloatArray:
         """Return the matrix that maps a load to the correction after a cycle from this level.
 
         Each column is the correction that the host computes for a unit load.
         """
-        host, (rows, cols) = self._host, self._pairs
-        made = np.zeros((rows, cols, 2, 2, rows, cols, 2, 2), np.float32)
-        for component, row, col in np.argwhere(inside(host.inverse) > 0):
-            host.load.fill(0)
-            inside(host.load)[component, row, col] = 1
-            host.finish(steps, coarsest)
-            column = stored_planes(host.correction).reshape(rows, cols, 2, 2)
-            made[..., row, col // 2, col % 2, component] = column
-        return made.reshape(4 * rows * cols, -1)
+        unknown = np.flatnonzero(self._host.inverse > 0)
+        component, row, col = np.nonzero(inside(self._host.inverse) > 0)
+        pair = np.searchsorted(at, row * self._pairs[1] + col // 2)
+        value = 4 * pair + 2 * (col % 2) + component
+        made = np.zeros((4 * len(at), 4 * len(at)), np.float32)
+        made[value[:, None], value] = self._host.responses(steps, coarsest, unknown)
+        return np.moveaxis(made.reshape(4 * len(at), len(at), 4), 0, 1)
 
-    def _smoother(self, steps: Steps) -> Float64Array:
+    def _smoother(self, steps: Steps, at: Indices) -> FloatArray:
         """Return the matrix that maps a load to the correction after all steps from zero."""
         # Use matrix products, because a decomposition would start the threads of LAPACK, which
         # then busy-wait on the cores that a software rasterizer needs.
@@ -277,4 +285,6 @@ class RelaxingLevel(GLLevel):
             left = np.eye(len(matrix)) - matrix @ moved
             taken = scale * inverse * left + momentum * taken
             moved = moved + taken
-        return moved
+        pairs = math.prod(self._pairs)
+        blocks = moved.reshape(pairs, 4, pairs, 4)[np.ix_(at, range(4), at, range(4))]
+        return blocks.transpose(0, 2, 3, 1).reshape(len(at), -1, 4).astype(np.float32)

@@ -218,7 +218,7 @@ KERNELS: Mapping[str, Kernel] = {
             tissue=True,
         ),
         Kernel("quotient", ("above", "above_by", "below", "below_by"), {"value": 1}),
-        Kernel("at_once", ("load", "matrix"), {"corrected": 4}),
+        Kernel("at_once", ("load", "matrix", "number", "places"), {"corrected": 4}),
         Kernel("product", ("first", "second"), {"share": 1}, tissue=True, sums=("share",)),
         Kernel(
             "weigh",
