@@ -1,5 +1,5 @@
-// Largest value of a vector, and its scalar product with another; largest.glsl and sum.glsl combine
-// the contributions.
+// Largest value of a vector, and its scalar product with another; weighed.glsl combines the
+// contributions.
 //
 //     peak = max |first|,    share = first . second
 //

@@ -15,8 +15,19 @@ HeldPlanes = npt.NDArray[np.bool_]
 
 def planes(values: npt.NDArray[Any]) -> Planes:
     """Copy values, shape (H, W, 2) or (D, H, W, 3), to new planes."""
-    made = np.zeros((values.shape[-1], *(size + 4 for size in values.shape[:-1])))
-    inside(made)[...] = np.moveaxis(values, -1, 0)
+    return _padded(values, np.float64)
+
+
+def held_planes(held: npt.NDArray[np.bool_]) -> HeldPlanes:
+    """Copy a mask of components, shape (H, W, 2) or (D, H, W, 3), to new planes."""
+    return _padded(held, np.bool_)
+
+
+def _padded(values: npt.NDArray[Any], dtype: npt.DTypeLike) -> npt.NDArray[Any]:
+    shape = values.shape[-1], *(size + 4 for size in values.shape[:-1])
+    made: npt.NDArray[Any] = np.zeros(shape, dtype)
+    for plane, component in zip(inside(made), np.moveaxis(values, -1, 0), strict=True):
+        plane[...] = component
     return made
 
 

@@ -177,7 +177,7 @@ class GLLevel(CycleLevel[Scalar]):
     def product(self, a: Vector, b: Vector) -> Scalar:
         """Return the scalar product of two vectors."""
         self._run("product", {}, [a.texture, b.texture], [self._shares()])
-        return self._total("sum", self._share)
+        return self._total()
 
     def largest(self, a: Vector) -> Scalar:
         """Return the largest absolute value in a vector."""
@@ -186,7 +186,8 @@ class GLLevel(CycleLevel[Scalar]):
     def weigh(self, a: Vector, b: Vector) -> tuple[Scalar, Scalar]:
         """Return the largest absolute value in `a`, and the scalar product of `a` and `b`."""
         self._run("weigh", {}, [a.texture, b.texture], [self._shares(), self._peaks()])
-        return self._total("largest", self._peak), self._total("sum", self._share)
+        product, largest = self._totals("weighed", self._share, self._peak)
+        return largest, product
 
     def quotient(self, a: Scalar | Product, b: Scalar | Product) -> Scalar:
         """Return a / b for scalars or products of any sign, or 0 if b is 0."""
@@ -217,7 +218,7 @@ class GLLevel(CycleLevel[Scalar]):
         self._run("advance", signed, inputs, [d.other, rest.other, self._shares()])
         d.turn()
         rest.turn()
-        return self._total("sum", self._share)
+        return self._total()
 
     def add(self, d: Vector, correction: Vector) -> None:
         """Add a vector to `d`, in place."""
@@ -290,29 +291,35 @@ class GLLevel(CycleLevel[Scalar]):
         rows, cols = self._pairs
         return -(-rows // self._passes.rows), cols
 
-    def _total(self, kernel: str, values: Any) -> Scalar:
-        """Combine all values of a texture with the kernel "sum" or "largest"."""
-        cols, rows = values.size
+    def _total(self) -> Scalar:
+        """Return the sum of the contributions of the last kernel."""
+        (total,) = self._totals("sum", self._share)
+        return total
+
+    def _totals(self, kernel: str, *values: Any) -> list[Scalar]:
+        """Combine all values of each texture with the kernel "sum" or "weighed"."""
+        cols, rows = values[0].size
         block = BLOCK if self._passes.rows == 1 else _LARGE_BLOCK
         while True:
             rows, cols = -(-rows // block), -(-cols // block)
-            scalar = None
-            if (rows, cols) == (1, 1):
-                scalar = Scalar(self._scalar_texture(), self._spare_scalars)
-            output = scalar.texture if scalar else self._block((rows, cols))
             program = self._passes.program(kernel, {"BLOCK": block})
-            self._passes.run(program, [values], [output], (rows, cols))
-            if scalar:
-                return scalar
-            values, block = output, max(block, _LATER_BLOCK)
+            if (rows, cols) == (1, 1):
+                found = [Scalar(self._scalar_texture(), self._spare_scalars) for _ in values]
+                self._passes.run(program, values, [each.texture for each in found], (1, 1))
+                return found
+            outputs = [self._block((rows, cols), number) for number in range(len(values))]
+            self._passes.run(program, values, outputs, (rows, cols))
+            values, block = tuple(outputs), max(block, _LATER_BLOCK)
 
     def _scalar_texture(self) -> Any:
         return self._spare_scalars.pop() if self._spare_scalars else self._passes.empty((1, 1), 1)
 
-    def _block(self, grid: tuple[int, int]) -> Any:
-        if grid not in self._blocks:
-            self._blocks[grid] = self._passes.empty(grid, 1)
-        return self._blocks[grid]
+    def _block(self, grid: tuple[int, ...], number: int) -> Any:
+        """Return the texture of block totals for a grid and one of several sorts of totals."""
+        key = (*grid, number)
+        if key not in self._blocks:
+            self._blocks[key] = self._passes.empty(grid, 1)
+        return self._blocks[key]
 
     def _ratio_textures(self, number: Number) -> list[Any]:
         """Return the textures of a number's numerator and denominator, as inputs of a kernel."""

@@ -29,7 +29,7 @@ from napari_hmrf.solver.backends.opengl.images.displacement import (
 from napari_hmrf.solver.backends.opengl.images.passes import Passes
 from napari_hmrf.solver.backends.opengl.images.relaxing import RelaxingLevel
 from napari_hmrf.solver.backends.opengl.programs.source import Stage
-from napari_hmrf.solver.backends.planes import planes
+from napari_hmrf.solver.backends.planes import held_planes
 from napari_hmrf.solver.backends.rigid.bodies import Bodies
 from napari_hmrf.solver.backends.rigid.deflation import Deflation
 from napari_hmrf.solver.problem import Problem
@@ -153,7 +153,7 @@ class GLModel:
         is_held = self._known is not None and self._held_since is self._host.earlier
         if is_held and are_equal(known, self._known):
             return
-        self.hold(planes(known) > 0)
+        self.hold(held_planes(known))
         self._known = known
 
     def balance(self, d: Planes, load: Planes | None, unit: float = 1.0) -> Balance:

@@ -174,7 +174,7 @@ class RelaxingLevel(GLLevel):
         inputs = [direction.texture, *self._tissue_textures, self._inverse]
         outputs = [image.texture, self._shares()]
         self._run(model.apply, model.defines, inputs, outputs, model.uniforms)
-        return self._total("sum", self._share)
+        return self._total()
 
     @property
     def nothing(self) -> Any:

@@ -228,8 +228,8 @@ KERNELS: Mapping[str, Kernel] = {
             sums=("share",),
             peaks=("peak",),
         ),
-        Kernel("largest", ("values",), {"most": 1}, ("BLOCK",)),
         Kernel("sum", ("share",), {"total": 1}, ("BLOCK",)),
+        Kernel("weighed", ("share", "peak"), {"total": 1, "most": 1}, ("BLOCK",)),
         Kernel("canary", ("numbers",), {"first": 4, "second": 2, "third": 1}),
     )
 }
