@@ -42,7 +42,11 @@ _EVEN = (1.0, 1.0)
 MAX_REACH = 2.0
 # Mask of observed components and their indices, which stay the same during a drag. Any thread may
 # replace them.
-_known: Kept[tuple[npt.NDArray[np.bool_], npt.NDArray[np.intp]]] = Kept(is_large=True)
+_known_at: Kept[tuple[npt.NDArray[np.bool_], npt.NDArray[np.intp]]] = Kept(is_large=True)
+# Latest masks. An equal mask of a later problem is replaced by them, so that all later comparisons
+# of the mask are free.
+_tissue: Kept[npt.NDArray[np.bool_]] = Kept(is_large=True)
+_known: Kept[npt.NDArray[np.bool_]] = Kept(is_large=True)
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -190,9 +194,7 @@ class Problem:
     @cached_property
     def tissue(self) -> npt.NDArray[np.bool_]:
         """Mask of tissue: stiffness above 0, shape (H, W)."""
-        mask: npt.NDArray[np.bool_] = self.stiffness > 0
-        mask.setflags(write=False)
-        return mask
+        return _shared(_tissue, self.stiffness > 0)
 
     @cached_property
     def rigid(self) -> npt.NDArray[np.bool_]:
@@ -209,15 +211,15 @@ class Problem:
     @cached_property
     def known(self) -> npt.NDArray[np.bool_]:
         """Mask of observed components of tissue: confidence above 0, shape (H, W, 2)."""
-        mask: npt.NDArray[np.bool_] = (self.confidence > 0) & self.tissue[..., None]
-        mask.setflags(write=False)
-        return mask
+        mask = self.confidence > 0
+        mask &= self.tissue[..., None]
+        return _shared(_known, mask)
 
     @cached_property
     def known_at(self) -> npt.NDArray[np.intp]:
         """Indices of the observed components of tissue in the flattened observations."""
         known = self.known
-        return _known.get(
+        return _known_at.get(
             lambda last: are_equal(last[0], known), lambda: (known, np.flatnonzero(known))
         )[1]
 
@@ -609,6 +611,14 @@ def _check_sliding(sliding: object, m: FloatArray) -> None:
             "sliding", f"is {shown(sliding)}, of type {kind}. Pass SlidingParts(labels)."
         )
     sliding.check(m)
+
+
+def _shared(
+    kept: Kept[npt.NDArray[np.bool_]], mask: npt.NDArray[np.bool_]
+) -> npt.NDArray[np.bool_]:
+    """Return the mask, read-only, or the latest mask of its kind if both are equal."""
+    mask.setflags(write=False)
+    return kept.get(lambda last: are_equal(last, mask), lambda: mask)
 
 
 def _check_known(known: npt.NDArray[np.bool_]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import weakref
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -10,6 +11,7 @@ from functools import cached_property
 import numpy as np
 import numpy.typing as npt
 
+from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.errors import ArgumentError
 from napari_hmrf.real_arrays import FloatArray, are_equal
 from napari_hmrf.solver.backends.earlier_results import WarmStart
@@ -23,6 +25,9 @@ Float64Array = npt.NDArray[np.float64]
 _ROUNDING = 1e-5
 # Value added to the diagonal of the normal equations, to keep them regular if all changes are 0.
 _TINY = 1e-300
+# Values of the latest solutions at the indices of observations, to which a drag adds one solution
+# in each frame.
+_seen: Kept[_Seen] = Kept()
 # Number of load values that are compared at once, to limit the use of memory.
 _BLOCK_SIZE = 1 << 20
 
@@ -121,6 +126,32 @@ def _is_same_problem(one: Solution, other: Solution) -> bool:
     return same_prior and first.inputs == second.inputs
 
 
+class _Seen:
+    """Values of displacements at observations.
+
+    Parameters
+    ----------
+    at : ndarray of int
+        Indices of the observed components.
+    """
+
+    def __init__(self, at: npt.NDArray[np.intp]) -> None:
+        self.at = at
+        self._latest: list[tuple[weakref.ref[FloatArray], FloatArray]] = []
+
+    def of(self, displacements: Sequence[FloatArray]) -> list[FloatArray]:
+        """Return the values of displacements, which stay known until the next call."""
+        known = [(ref(), values) for ref, values in self._latest]
+        found = []
+        for displacement in displacements:
+            values = next((each for other, each in known if other is displacement), None)
+            found.append(displacement.ravel().take(self.at) if values is None else values)
+        self._latest = [
+            (weakref.ref(each), values) for each, values in zip(displacements, found, strict=True)
+        ]
+        return found
+
+
 class _Blocks:
     """Observations and loads of a problem and of each solution, in blocks of values."""
 
@@ -168,7 +199,9 @@ class _Blocks:
         """Observed displacements, those of the first solution, and changes to the others."""
         problem = self._problem
         own = problem.known_values
-        parts = [each.displacement.ravel().take(problem.known_at) for each in self._solutions]
+        parts = _seen.get(
+            lambda last: last.at is problem.known_at, lambda: _Seen(problem.known_at)
+        ).of([each.displacement for each in self._solutions])
         # Components that are the same everywhere, such as those of fixed tissue, have no effect.
         varies = np.zeros(len(own), dtype=np.bool_)
         for part in parts:

@@ -200,14 +200,14 @@ def _spread(values, row, col):
 
 
 @disjoint
-def _rest_line(force, load, given, inverse, out):
+def _rest_line(force, load, given, moves, out):
     for j in range(len(out)):
         rest = float32(given * load[j] + force[j])
-        out[j] = rest if inverse[j] > float32(0) else rest - rest
+        out[j] = rest if moves[j] else rest - rest
 
 
 @callee
-def _review_part(values, load, given, lame, inverse, where, shape, totals, first, last):
+def _review_part(values, load, given, lame, moves, where, shape, totals, first, last):
     sites = slice(2, 2 + values.shape[1] // 2)
     lines, forces, carry = np.zeros((4, where[2])), np.zeros((2, where[2])), np.zeros((2, where[2]))
     rest = np.zeros((2, where[2]), np.float32)
@@ -236,7 +236,7 @@ def _review_part(values, load, given, lame, inverse, where, shape, totals, first
             inner, line = forces[k, column + 1 : until - 1], lines[k, column + 1 : until - 1]
             pull = load[k, here + 1 : past - 1] if given != 0 else inner
             left = rest[k, column + 1 : until - 1]
-            _rest_line(inner, pull, given, inverse[k, here + 1 : past - 1], left)
+            _rest_line(inner, pull, given, moves[k, here + 1 : past - 1], left)
             most = max(most, line_largest(left))
             totals[1, i] += line_product(left, left)
             totals[2, i] -= line_product(line, inner)
@@ -248,14 +248,15 @@ def _review_part(values, load, given, lame, inverse, where, shape, totals, first
 
 
 @parallel
-def review(thread, values, load, given, lame, inverse, where, shape, totals, count):
+def review(thread, values, load, given, lame, moves, where, shape, totals, count):
     """Compute what decides whether a displacement in single precision is a solution.
 
     `values` has shape (H, 2 W), with the components of each site side by side, and is 0 outside the
-    spans in `where`, which contain all tissue. Column i of `totals` is for row i of sites: 0 and 1
-    the largest absolute value and the sum of squares of ``given * load - A d`` at free components;
-    2 d . A d; 3 ||A d||^2; 4 load . d; 5 the largest absolute value of d.
+    spans in `where`, which contain all tissue. `moves` is True at free components. Column i of
+    `totals` is for row i of sites: 0 and 1 the largest absolute value and the sum of squares of
+    ``given * load - A d`` at free components; 2 d . A d; 3 ||A d||^2; 4 load . d; 5 the largest
+    absolute value of d.
     """
     for number in portion(thread, count):
         first, last = bounds_of_part(number, count, len(values))
-        _review_part(values, load, given, lame, inverse, where, shape, totals, first, last)
+        _review_part(values, load, given, lame, moves, where, shape, totals, first, last)

@@ -21,6 +21,7 @@ from napari_hmrf.solver.backends.cpu.layout import Layout, Table, flat, tissue_s
 from napari_hmrf.solver.backends.cpu.level import CpuLevel, Spans, Vector, loops_of
 from napari_hmrf.solver.backends.cpu.small_levels import SmallLevels, divided
 from napari_hmrf.solver.backends.cpu.transfer import PAD, padded
+from napari_hmrf.solver.backends.earlier_results import EarlierResults
 from napari_hmrf.solver.backends.host_model import HostModel
 from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Review, Steps
 from napari_hmrf.solver.backends.rigid.bodies import bodies_of, can_deflate
@@ -176,6 +177,8 @@ class CpuElasticModel(HostModel):
         self._fields: Vector = np.zeros((0, 0), dtype=np.float32)
         # Start and stop column of the tissue in each row, computed on first use.
         self._tissue: Table | None = None
+        # Mask of the free components, with the object that identifies the prescribed ones.
+        self._moves: tuple[EarlierResults, HeldPlanes] | None = None
         self.assemble(material)
 
     def _small_levels(self, little: Sequence[tuple[int, ...]], has_data: bool) -> SmallLevels:
@@ -334,7 +337,10 @@ class CpuElasticModel(HostModel):
             return super().review(values, load)
         if self._tissue is None:
             self._tissue = tissue_spans(finest.lame[self._loops.SHEAR])[PAD:-PAD]
-        found: Review = self._loops.review(finest, self._exact, self._tissue, values, load)
+        if self._moves is None or self._moves[0] is not self.earlier:
+            self._moves = self.earlier, self.moves
+        masks = self._tissue, self._moves[1]
+        found: Review = self._loops.review(finest, self._exact, *masks, values, load)
         return found
 
     @property

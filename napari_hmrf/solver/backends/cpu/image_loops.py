@@ -23,7 +23,7 @@ from napari_hmrf.solver.backends.cpu import (
 )
 from napari_hmrf.solver.backends.cpu.layout import Table, flat, whole_rows
 from napari_hmrf.solver.backends.cpu.transfer import PAD
-from napari_hmrf.solver.backends.linear import Planes, Review
+from napari_hmrf.solver.backends.linear import HeldPlanes, Planes, Review
 from napari_hmrf.solver.priors.elements import ElasticMaterial
 
 Vector = npt.NDArray[np.float32]
@@ -177,17 +177,23 @@ def work(level: Any, exact: Elements, d: Planes) -> tuple[float, float]:
 
 
 def review(
-    level: Any, exact: Elements, spans: Table, values: Vector, load: Planes | None
+    level: Any,
+    exact: Elements,
+    spans: Table,
+    moves: HeldPlanes,
+    values: Vector,
+    load: Planes | None,
 ) -> Review:
     """Return what decides whether a displacement, shape (H, W, 2), is a solution.
 
-    `spans` are the start and stop column of the tissue of each row.
+    `spans` are the start and stop column of the tissue of each row. `moves` is the mask of free
+    components: it is smaller than ``level.inverse``.
     """
     lame, shape = exact
     totals, lines = np.zeros((6, len(values))), values.reshape(len(values), -1)
     given = (np.zeros((2, 1)), 0.0) if load is None else (flat(load), 1.0)
     where = level.layout.starts, spans, level.layout.planes[-1]
-    about = lame, flat(level.inverse), where, shape
+    about = lame, flat(moves), where, shape
     elastic_exact.review(lines, *given, *about, totals, level.parts)
     most, squares, product, forces, work, farthest = totals
     return Review(

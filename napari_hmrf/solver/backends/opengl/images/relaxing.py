@@ -286,5 +286,5 @@ class RelaxingLevel(GLLevel):
             taken = scale * inverse * left + momentum * taken
             moved = moved + taken
         pairs = math.prod(self._pairs)
-        blocks = moved.reshape(pairs, 4, pairs, 4)[np.ix_(at, range(4), at, range(4))]
-        return blocks.transpose(0, 2, 3, 1).reshape(len(at), -1, 4).astype(np.float32)
+        blocks = moved.reshape(pairs, 4, pairs, 4)[at][:, :, at].astype(np.float32)
+        return blocks.transpose(0, 2, 3, 1).reshape(len(at), -1, 4)
