@@ -143,7 +143,7 @@ class Register(RegistrationCase, Writing):
 
     The tissue of `fixed` moves until it looks like `moving`. The folder contains the study, the
     deformed image, the other image on the grid of `fixed`, the change of size, a field for ITK and
-    a report. Both images must have the same modality.
+    a report.
 
     Attributes
     ----------

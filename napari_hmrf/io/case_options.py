@@ -23,6 +23,7 @@ Image = Path
 Table = Path
 File = Path
 Alignment = Literal["rigid", "affine"]
+Similarity = Literal["auto", "same", "inverse", "other"]
 #: Metadata of a field each of whose words is an option without a value.
 WORDS_AS_FLAGS = {"flags": True}
 
@@ -212,6 +213,10 @@ class RegistrationCase(Resampling, TissueFiles):
     smoothness : float
         Weight of the elastic energy, relative to the usual weight; a larger weight leads to smaller
         strains.
+    similarity : {"auto", "same", "inverse", "other"}
+        Relation of the brightness of both images: bright tissue is bright in both (same), dark in
+        one of them (inverse), or the brightness of one image is another function of that of the
+        other (other), as in two sequences of an MRI. By default, the images decide (auto).
     """
 
     fixed: Image = field(kw_only=False)
@@ -224,3 +229,4 @@ class RegistrationCase(Resampling, TissueFiles):
     spacing: PixelSize | None = None
     alignment: Alignment | None = field(default=None, metadata=WORDS_AS_FLAGS)
     smoothness: Positive = 1.0
+    similarity: Similarity = "auto"

@@ -34,7 +34,7 @@ from napari_hmrf.io.sweeps import with_ratio
 from napari_hmrf.real_arrays import grid_in_words, sites_in_words
 from napari_hmrf.registration.alignment import align
 from napari_hmrf.registration.register import register
-from napari_hmrf.registration.result import Registration
+from napari_hmrf.registration.result import Registration, relation_in_words
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import Progress
@@ -147,6 +147,7 @@ def register_files(
             landmarks=marks,
             initial=matrix,
             smoothness=case.smoothness,
+            similarity=case.similarity,
             progress=lambda monitor: report(
                 Monitor(monitor.message, _REGISTERED * monitor.fraction)
             ),
@@ -503,8 +504,8 @@ def _study_of(case: RegistrationCase, pair: _Pair, found: Registration) -> Study
 def _notes_on(
     found: Registration, solution: Solution, pair: _Pair, marks: Landmarks | None
 ) -> list[str]:
-    """Return notes on folds, and on the difference between the study and the registration."""
-    notes = []
+    """Return notes on contrast, folds, and the difference between study and registration."""
+    notes = [] if found.relation == "same" else [relation_in_words(found.relation)]
     if found.folds:
         sites = sites_in_words(found.folds, solution.tissue.ndim)
         notes.append(f"the tissue folds over itself at {sites}")
@@ -571,6 +572,8 @@ def _report_of(
         "alignment": case.alignment,
         "matrix": found.matrix.tolist(),
         "smoothness": case.smoothness,
+        "similarity": case.similarity,
+        "relation": found.relation,
         "similarity_before": round(found.similarity_before, _DECIMALS),
         "similarity_after": round(found.similarity, _DECIMALS),
         "largest_displacement": float(f"{largest:.4g}"),

@@ -12,14 +12,19 @@ displacement, r decreases by ``g . change``, where g is the gradient of the imag
 is therefore quadratic in the displacement, and a data term of a `Problem` with the precision
 ``W = w g g^T``. A single pixel observes the displacement along its gradient only. A window around
 each site collects the observations of its neighbours, as in the method of Lucas and Kanade (1981).
+
+The images of a pair need not have the same contrast. F may be the negative of the fixed image, or
+the brightness of the moving image that is expected from that of the fixed image, as in the
+correlation ratio of Roche, Malandain, Pennec and Ayache (1998).
 """
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +33,10 @@ import scipy
 FloatArray = npt.NDArray[np.float32]
 BoolArray = npt.NDArray[np.bool_]
 Checkpoint = Callable[[], None]
+
+#: Relation of the brightness of two images: the same order, the reverse order, or the brightness of
+#: the moving image depends on that of the fixed image in another way, or the reverse.
+Relation = Literal["same", "inverse", "from fixed", "from moving"]
 
 # The settings were chosen on two random deformations of a brain and then fixed; the errors of other
 # deformations are in docs/validation/registration.md. Lengths are in pixels of the level.
@@ -54,6 +63,13 @@ _LONGEST_STEP = 0.25
 #: Sums below are nothing: single precision keeps no digits of products of windows' tails, so that
 #: the tensors of a black background would not be semidefinite.
 _NOTHING = 1e-35
+#: Largest number of classes of brightness in which the expected brightness is computed, power of
+#: the number of pixels that limits it, and standard deviation of a window over classes.
+_MOST_CLASSES, _CLASS_POWER, _CLASS_WINDOW = 64, 0.4, 0.7
+#: Difference of correlations from which images do not have the same contrast. On few pixels, the
+#: difference must be larger, by this number of standard deviations of a correlation. A function of
+#: brightness always correlates a little more, because it is fitted.
+_RELATED, _BY_CHANCE = 0.15, 2.0
 # Fraction of pixels whose brightness is outside of the range of an image.
 _BEYOND_RANGE = 0.01
 _TINY = 1e-12
@@ -98,6 +114,7 @@ class ImageLevel:
         Size of a pixel of the images along each axis.
     checkpoint : callable
         Called between the steps; it may raise an error to cancel the computation.
+    relation : Relation
     """
 
     def __init__(
@@ -108,17 +125,53 @@ class ImageLevel:
         step: int,
         spacing: tuple[float, ...],
         checkpoint: Checkpoint,
+        relation: Relation = "same",
     ) -> None:
         self.spacing = tuple(step * size for size in spacing)
-        self._checkpoint = checkpoint
-        self._fixed, self._counted = _normalized(fixed, counted[0], step, checkpoint)
-        self._moving, self._known = _normalized(moving, counted[1], step, checkpoint)
+        self._checkpoint, self.relation = checkpoint, relation
+        width = step / 2 if step > 1 else 0.0
+        parts = [
+            reduced(image, mask, step, width, checkpoint)
+            for image, mask in zip((fixed, moving), counted, strict=True)
+        ]
+        (self._fixed, self._counted), (self._moving, self._known) = (
+            normalized(*part, checkpoint) for part in parts
+        )
+        if relation == "inverse":
+            self._fixed = -self._fixed
+        # Brightness of both images with its weights, for `expect`.
+        self._parts = parts if is_function(relation) else []
         self._slopes = self._gradient(self._fixed)
 
     @property
     def shape(self) -> tuple[int, ...]:
         """Shape of the grid of the level."""
         return self._fixed.shape
+
+    def expect(self, displacement: npt.NDArray[np.floating]) -> None:
+        """Replace an image by the brightness that is expected from that of the other image.
+
+        The expected brightness is the mean over all pixels of the same brightness, at a
+        displacement.
+        """
+        if not self._parts:
+            return
+        _, known = self.warped(displacement)
+        fixed, moving = (
+            np.asarray(sums / np.maximum(share, _TINY), np.float32) for sums, share in self._parts
+        )
+        places = moved_places(displacement, self.spacing)
+        warped = _sampled(moving, places, self._checkpoint)
+        both = known > 0.999
+        (_, share), (_, share_of_moving) = self._parts
+        if self.relation == "from fixed":
+            expected = _expected(fixed, fixed[both], warped[both])
+            self._fixed, _ = normalized(expected * share, share, self._checkpoint)
+            self._slopes = self._gradient(self._fixed)
+        else:
+            share = share_of_moving
+            expected = _expected(moving, warped[both], fixed[both])
+            self._moving, _ = normalized(expected * share, share, self._checkpoint)
 
     def warped(self, displacement: npt.NDArray[np.floating]) -> tuple[FloatArray, FloatArray]:
         """Return M(X + d(X)), and the fraction of each pixel that counts in both images."""
@@ -145,6 +198,7 @@ class ImageLevel:
         smoothness : float
             Weight of the elastic energy, relative to the variance of the difference of the images.
         """
+        self.expect(displacement)
         warped, weight = self.warped(displacement)
         self._checkpoint()
         difference = (self._fixed - warped) * (weight > 0)
@@ -219,12 +273,67 @@ def _variance(residual: float) -> float:
     return known**2 * max(1.0, known / _OTHER_TISSUE)
 
 
-def _normalized(
-    image: FloatArray, counted: BoolArray, step: int, checkpoint: Checkpoint
-) -> tuple[FloatArray, FloatArray]:
-    """Return an image of a level, with mean 0 and contrast 1 around each pixel, and its weights."""
-    width = step / 2 if step > 1 else 0.0
-    return normalized(*reduced(image, counted, step, width, checkpoint), checkpoint)
+def relation_of(
+    level: Callable[[Relation], ImageLevel],
+    displacement: npt.NDArray[np.floating],
+    choices: Sequence[Relation],
+) -> Relation:
+    """Return the relation with the largest correlation of the normalized images.
+
+    A relation must correlate much more than one before it in the list, except that a function of
+    brightness may follow another function.
+
+    Parameters
+    ----------
+    level : callable
+        Returns a level for a relation.
+    displacement : ndarray, shape (H, W, 2) or (D, H, W, 3)
+    choices : sequence of Relation
+    """
+
+    def correlation_of(relation: Relation) -> float:
+        images = level(relation)
+        images.expect(displacement)
+        return images.agreement(displacement)[1]
+
+    best, *others = choices
+    largest = correlation_of(best)
+    much = _RELATED + _BY_CHANCE / math.sqrt(math.prod(displacement.shape[:-1]))
+    for relation in others:
+        found = correlation_of(relation)
+        if found > largest + (0.0 if is_function(best) else much):
+            best, largest = relation, found
+    return best
+
+
+def is_function(relation: Relation) -> bool:
+    """Return whether the brightness of one image is a function of that of the other."""
+    return relation in ("from fixed", "from moving")
+
+
+def _expected(brightness: FloatArray, given: FloatArray, other: FloatArray) -> FloatArray:
+    """Return the mean of `other` over the pixels whose brightness `given` is about that of a pixel.
+
+    Parameters
+    ----------
+    brightness : ndarray
+        Brightness from 0 to 1, of any shape; the result has the same shape.
+    given, other : ndarray, shape (N,)
+        Brightness of the same tissue in both images.
+    """
+    count = max(1, min(_MOST_CLASSES, int(len(given) ** _CLASS_POWER)))
+    where = np.clip((given * count).astype(np.intp), 0, count - 1)
+    counts, sums = (
+        scipy.ndimage.gaussian_filter1d(
+            np.bincount(where, weights, count), _CLASS_WINDOW, mode="constant"
+        )
+        for weights in (np.ones(len(where)), other)
+    )
+    classes = np.flatnonzero(counts > _TINY)
+    if not len(classes):
+        return brightness
+    means, centres = sums[classes] / counts[classes], (classes + 0.5) / count
+    return np.asarray(np.interp(brightness, centres, means), np.float32)
 
 
 def reduced(

@@ -25,6 +25,9 @@ from napari_hmrf.registration.image_data import (
     FloatArray,
     ImageLevel,
     LinearImages,
+    Relation,
+    is_function,
+    relation_of,
 )
 from napari_hmrf.registration.rigid_bodies import turned, with_rigid_held
 from napari_hmrf.solver.data_term import combined_data
@@ -42,6 +45,16 @@ from napari_hmrf.solver.uncertain_landmarks import Landmarks, corners_of
 _SMOOTHNESS = 1.0
 #: Number of steps on the finest level, on the level before it, and on coarser levels.
 _STEPS = (2, 3, 4)
+#: Same if the brightness of one image is a function of that of the other, because each step
+#: computes the function anew.
+_STEPS_OF_FUNCTION = (4, 3, 4)
+#: Similarities for which the user may ask, and the relations among which each chooses.
+SIMILARITIES: dict[str, tuple[Relation, ...]] = {
+    "auto": ("same", "inverse", "from fixed", "from moving"),
+    "same": ("same",),
+    "inverse": ("inverse",),
+    "other": ("from fixed", "from moving"),
+}
 #: Smallest number of pixels along the longest axis of the coarsest level.
 _LEAST_PIXELS = 24
 #: Largest number of levels.
@@ -98,6 +111,8 @@ class Match(NamedTuple):
     residual, similarity : float
         As in a `Step`, after the last step.
     history : tuple of Step
+    relation : Relation
+        Relation of the brightness of the images.
     """
 
     solution: Solution
@@ -106,6 +121,7 @@ class Match(NamedTuple):
     residual: float
     similarity: float
     history: tuple[Step, ...]
+    relation: Relation
 
 
 Show = Callable[[Solution, Step], None]
@@ -126,6 +142,7 @@ def match(
     *,
     unit: float,
     smoothness: float = 1.0,
+    similarity: str = "auto",
     start: npt.NDArray[np.floating] | None = None,
     progress: Progress | None = None,
     cancel: CancelFlag | None = None,
@@ -144,6 +161,8 @@ def match(
         Typical stiffness of the tissue.
     smoothness : float
         Weight of the elastic energy, relative to the usual weight.
+    similarity : str
+        One of `SIMILARITIES`.
     start : ndarray, shape (H, W, 2) or (D, H, W, 3), optional
         Displacement from which the iteration starts, on the finest level only; by default, the
         iteration starts at zero on the coarsest level.
@@ -169,12 +188,15 @@ def match(
             raise Cancelled
 
     weight = smoothness * _SMOOTHNESS / _uniaxial_modulus(prior, len(problem.shape))
-    levels = schedule(problem.shape) if start is None else ((1, _STEPS[0]),)
+    relation = _relation(images, similarity, problem, start, checkpoint)
+    levels = schedule(problem.shape, relation)
+    if start is not None:
+        levels = levels[-1:]
     report = _Report(problem.shape, levels, progress)
     history: list[Step] = []
     displacement, tissue = start, problem.tissue
     for size, count in levels:
-        pair = ImageLevel(*images, size, problem.spacing, checkpoint)
+        pair = ImageLevel(*images, size, problem.spacing, checkpoint, relation)
         base, nu = _on_level(problem, size), _prior_on_level(prior, size)
         displacement = _interpolated(displacement, tissue, base.shape, checkpoint)
         tissue = base.tissue
@@ -196,7 +218,29 @@ def match(
             checkpoint()
     assert displacement is not None
     _, before = pair.agreement(np.zeros_like(displacement))
-    return Match(solution, data, before, *pair.agreement(displacement), tuple(history))
+    after = pair.agreement(displacement)
+    return Match(solution, data, before, *after, tuple(history), relation)
+
+
+def _relation(
+    images: Images,
+    similarity: str,
+    problem: Problem,
+    start: npt.NDArray[np.floating] | None,
+    checkpoint: Checkpoint,
+) -> Relation:
+    """Return the relation of brightness on the coarsest level, where motion matters least."""
+    choices = SIMILARITIES[similarity]
+    if len(choices) == 1:
+        return choices[0]
+    size, _ = schedule(problem.shape)[0]
+    every = (slice(None, None, size),) * len(problem.shape)
+    given = np.zeros((*problem.shape, len(problem.shape)), np.float32) if start is None else start
+
+    def level(relation: Relation) -> ImageLevel:
+        return ImageLevel(*images, size, problem.spacing, checkpoint, relation)
+
+    return relation_of(level, given[every], choices)
 
 
 def _uniaxial_modulus(prior: ElasticPrior, axes: int) -> float:
@@ -232,14 +276,15 @@ def _own_precision(problem: Problem, unit: float) -> npt.NDArray[np.float64] | N
     return np.where(own[..., None, None], precision, 0) if own.any() else None
 
 
-def schedule(shape: Sequence[int]) -> tuple[tuple[int, int], ...]:
+def schedule(shape: Sequence[int], relation: Relation = "same") -> tuple[tuple[int, int], ...]:
     """Return the pixel size and the number of steps of each level, from coarse to fine."""
+    steps = _STEPS_OF_FUNCTION if is_function(relation) else _STEPS
     levels = []
     for number in range(_MOST_LEVELS):
         size = 2**number
         if number and max(shape) / size < _LEAST_PIXELS:
             break
-        levels.append((size, _STEPS[min(number, len(_STEPS) - 1)]))
+        levels.append((size, steps[min(number, len(steps) - 1)]))
     return tuple(reversed(levels))
 
 

@@ -17,7 +17,7 @@ from napari_hmrf.field.warp import Spacing
 from napari_hmrf.real_arrays import as_mask, as_numbers, checked_spacing
 from napari_hmrf.registration.alignment import align, matrix_in_pixels
 from napari_hmrf.registration.image_data import BoolArray, FloatArray
-from napari_hmrf.registration.matching import Images, Match, Show, match, placeholder
+from napari_hmrf.registration.matching import SIMILARITIES, Images, Match, Show, match, placeholder
 from napari_hmrf.registration.result import Registration
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.problem import Problem, as_stiffness
@@ -46,6 +46,7 @@ def register(
     landmarks: Landmarks | None = None,
     initial: str | npt.ArrayLike | Registration | None = None,
     smoothness: float = 1.0,
+    similarity: str = "auto",
     progress: Progress | None = None,
     cancel: CancelFlag | None = None,
 ) -> Registration:
@@ -53,7 +54,7 @@ def register(
 
     The tissue of the fixed image moves until the moved image looks like the moving image. The
     brightness of both images is normalized locally, so that a different brightness, contrast, or
-    bias does not matter; images of different modalities are not supported. Nothing folds.
+    bias does not matter. The images may have different contrasts (`similarity`). Nothing folds.
 
     Parameters
     ----------
@@ -82,6 +83,11 @@ def register(
     smoothness : float
         Weight of the elastic energy, relative to the usual weight. A larger weight leads to smaller
         strains.
+    similarity : {"auto", "same", "inverse", "other"}
+        Relation of the brightness of both images: bright tissue is bright in both, or dark in one
+        of them; or the brightness of one image is another function of that of the other, as in two
+        sequences of an MRI. By default, the relation with the largest correlation on pixels of low
+        resolution; `Registration.relation` contains it.
     progress, cancel
         As in `solve`.
 
@@ -126,6 +132,8 @@ def register(
     sizes = checked_spacing(spacing, axes)
     own_sizes = sizes if moving_spacing is None else checked_spacing(moving_spacing, axes)
     smoothness = convert(Positive, smoothness, "smoothness")
+    words = ", ".join(f'"{each}"' for each in SIMILARITIES)
+    refuse_unless(is_one_of(similarity, SIMILARITIES), "similarity", similarity, words)
     if landmarks is not None:
         require_kind(Landmarks, "landmarks", landmarks, "Landmarks(points, targets, sd=1)")
     m = np.ones(first.shape, np.float32) if stiffness is None else as_stiffness(stiffness)
@@ -156,6 +164,7 @@ def register(
         matrix=matrix,
         moving_spacing=own_sizes,
         smoothness=smoothness,
+        similarity=similarity,
         start=start,
         progress=progress,
         cancel=cancel,
@@ -171,6 +180,7 @@ def registered(
     matrix: Float64Array,
     moving_spacing: tuple[float, ...],
     smoothness: float = 1.0,
+    similarity: str = "auto",
     start: npt.NDArray[np.floating] | None = None,
     progress: Progress | None = None,
     cancel: CancelFlag | None = None,
@@ -180,7 +190,7 @@ def registered(
 
     Parameters
     ----------
-    problem, prior, images, unit, smoothness, start, progress, cancel, show
+    problem, prior, images, unit, smoothness, similarity, start, progress, cancel, show
         As in `match`.
     matrix, moving_spacing
         As in a `Registration`.
@@ -192,6 +202,7 @@ def registered(
             images,
             unit=unit,
             smoothness=smoothness,
+            similarity=similarity,
             start=start,
             progress=progress,
             cancel=cancel,
@@ -220,6 +231,7 @@ def registered(
         sd=_standard_deviation(found),
         history=found.history,
         prior=prior,
+        relation=found.relation,
     )
 
 

@@ -14,6 +14,7 @@ from napari_hmrf.field.inverse_field import Inverse, inverse_displacement
 from napari_hmrf.field.resample import sampled
 from napari_hmrf.real_arrays import as_numbers
 from napari_hmrf.registration.alignment import matrix_in_pixels
+from napari_hmrf.registration.image_data import Relation
 from napari_hmrf.registration.matching import Step
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.solution import Solution
@@ -57,6 +58,9 @@ class Registration:
         Prior of the tissue.
     landmarks : Landmarks or None
         Landmarks that the motion follows, too.
+    relation : {"same", "inverse", "from fixed", "from moving"}
+        Relation of the brightness of both images: bright tissue is bright in both, or dark in one
+        of them, or the brightness of one image is another function of that of the other.
     """
 
     solution: Solution
@@ -71,6 +75,7 @@ class Registration:
     history: tuple[Step, ...]
     prior: ElasticPrior
     landmarks: Landmarks | None = None
+    relation: Relation = "same"
 
     def __repr__(self) -> str:
         return (
@@ -176,6 +181,18 @@ class Registration:
             return pixels
         matrix = matrix_in_pixels(self.matrix, self.solution.spacing, self.moving_spacing)
         return np.asarray(pixels @ matrix[:axes, :axes].T + matrix[:axes, axes])
+
+
+def relation_in_words(relation: Relation) -> str:
+    """Describe how the brightness of two images is related, as a clause."""
+    return {
+        "same": "bright tissue is bright in both images",
+        "inverse": "the images have opposite contrast: bright tissue of one is dark in the other",
+        "from fixed": "the images have different contrasts: the moving image is compared with the "
+        "brightness that is expected from the fixed image",
+        "from moving": "the images have different contrasts: the fixed image is compared with the "
+        "brightness that is expected from the moving image",
+    }[relation]
 
 
 def agreement_in_words(before: float, after: float) -> str:

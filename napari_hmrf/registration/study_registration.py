@@ -140,6 +140,7 @@ def register_study(
         "matrix": found.matrix.tolist(),
         "before": found.similarity_before,
         "similarity": found.similarity,
+        "relation": found.relation,
         "residual": found.residual,
         "sd": found.sd,
     }

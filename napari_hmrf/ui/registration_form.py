@@ -140,6 +140,8 @@ def described(measured: MeasuredMotion) -> str:
     text = f"Registered to '{name}'." if name else "Registered."
     if isinstance(before, float) and isinstance(after, float):
         text += f" Agreement when registered: {agreement_in_words(before, after)}."
+        if record.get("relation", "same") != "same":
+            text += " The images have different contrasts."
         if after < _POOR:
             text += " The images agree poorly: use 'align first', or choose another second image."
     return text

@@ -83,6 +83,29 @@ def test_brightness_contrast_and_bias_do_not_matter(pair):
     assert error(register(before, 40 + 900 * bias * after**1.5, spacing=1), truth) < 0.2
 
 
+@pytest.mark.parametrize(
+    ("contrast", "relation"),
+    [
+        (lambda bright: 1 - bright, "inverse"),
+        (lambda bright: np.abs(2 * bright - 1), "from fixed"),
+    ],
+)
+def test_an_image_of_another_contrast_moves_as_one_of_the_same_contrast(pair, contrast, relation):
+    before, after, truth = pair
+    noise = np.random.default_rng(0).normal(scale=0.02, size=after.shape)
+    found = register(before, contrast(after) + noise, spacing=1)
+    assert found.relation == relation
+    assert error(found, truth) < 1.5 * error(register(before, after + noise, spacing=1), truth)
+    assert register(contrast(after) + noise, before, spacing=1).relation == relation.replace(
+        "from fixed", "from moving"
+    )
+
+
+def test_unrelated_or_distant_images_count_as_images_of_the_same_contrast():
+    assert register(texture(), texture(1), spacing=1).relation == "same"
+    assert register(texture(), np.roll(texture(), 8, axis=1), spacing=1).relation == "same"
+
+
 def test_long_pixels_give_the_same_motion_in_millimetres(pair):
     before, after, truth = pair
     longer = np.array([2.0, 1.0])

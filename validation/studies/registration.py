@@ -8,6 +8,9 @@ T1 GREY WHITE``), or else the synthetic head of the package; ``--sizes 1`` is th
 mm. No MRI is part of this project. The image after the displacement has another gamma, a smooth
 bias and noise. Seeds 0 and 1 were used to choose the settings of all programs.
 
+`contrasts` registers the truths ``splines`` with images of other contrasts: inverted, similar to a
+T2-weighted MRI, and another nonlinear function of brightness.
+
 `pairs` registers two pictures of neighbouring sections after the same affine map, and compares
 landmarks (``--files FIXED MOVING [FIXED.csv MOVING.csv]``): rows of number, x and y, or else
 features that are matched in both pictures as in `sections`.
@@ -391,13 +394,27 @@ def head_from_files(image: Path, tissue: list[Path], voxel: float) -> Head:
     return Head(name, pixels / pixels.max(), brain, m, spacing)
 
 
-def case(head: Head, truth: str, seed: int) -> Case:
+def case(head: Head, truth: str, seed: int, contrast: str = "equal") -> Case:
     """Return a case; its random numbers depend on the seed and the name of the truth only."""
     number = list(TRUTHS).index(truth)
     rng = np.random.default_rng([seed, number] if number else seed)
     fixed, displacement = TRUTHS[truth](head, rng)
     moving = warp(fixed, displacement, spacing=head.spacing)
+    moving = CONTRASTS[contrast](np.clip(moving, 0, 1))
     return Case(fixed, degraded(rng, moving, head.spacing), displacement)
+
+
+#: Brightness of a T2-weighted image at some brightnesses of a T1-weighted image: background, bone,
+#: fluid, grey and white matter, fat.
+_T1 = (0.0, 0.08, 0.2, 0.35, 0.55, 0.75, 1.0)
+_T2 = (0.0, 0.25, 1.0, 0.85, 0.6, 0.4, 0.3)
+#: Contrasts of the moving image, as functions of the brightness of the fixed image.
+CONTRASTS: dict[str, Callable[[Array], Array]] = {
+    "equal": lambda bright: bright,
+    "inverted": lambda bright: 1 - bright,
+    "like T2": lambda bright: np.interp(bright, _T1, _T2),
+    "nonlinear": lambda bright: np.sin(1.4 * np.pi * bright) ** 2,
+}
 
 
 def random_splines(
@@ -558,8 +575,8 @@ class Known(NamedTuple):
     unbiased: Callable[[str, int], tuple[Array, Array]]
 
 
-def known_cases(options: Options) -> Iterator[tuple[str, Known]]:
-    """Yield the truths, seeds and programs for the head of the command."""
+def head_of(options: Options) -> Head:
+    """Return the head of the command."""
     voxel = options.sizes[0] if options.sizes else options.choose(2.0, 6.0)
     if options.files:
         head = head_from_files(options.files[0], options.files[1:], voxel)
@@ -568,6 +585,12 @@ def known_cases(options: Options) -> Iterator[tuple[str, Known]]:
     print(f"{head.name}: {' x '.join(map(str, head.image.shape))} voxels")
     warm = np.random.default_rng(0).random((16, 16, 16))
     register(warm, warm, spacing=1)  # compiles loops outside of the measured times
+    return head
+
+
+def known_cases(options: Options) -> Iterator[tuple[str, Known]]:
+    """Yield the truths, seeds and programs for the head of the command."""
+    head = head_of(options)
     images = functools.lru_cache(1)(partial(case, head))
 
     @functools.lru_cache(1)
@@ -648,6 +671,57 @@ def known(given: Known) -> dict[str, Any]:
         "p95": float(np.percentile(away, 95)),
         "processor": work,
         "folds": int(count_folds(found, spacing=spacing)),
+    }
+
+
+# Different contrasts.
+
+
+class Contrasted(NamedTuple):
+    """Registration of a known deformation with a contrast of the moving image."""
+
+    contrast: str
+    seed: int
+    head: Head
+
+
+def contrast_cases(options: Options) -> Iterator[tuple[str, Contrasted]]:
+    """Yield the contrasts and seeds for the head of the command."""
+    head = head_of(options)
+    for seed in options.seeds or options.choose((2, 3, 4, 5, 6), (2,)):
+        for contrast in CONTRASTS:
+            yield f"{contrast}, seed {seed}", Contrasted(contrast, seed, head)
+
+
+def _contrast_rows(results: Results) -> Iterator[list[Any]]:
+    rows = list(results.values())
+    equal = {row["seed"]: row["mean"] for row in rows if row["contrast"] == "equal"}
+    for contrast in CONTRASTS:
+        own = [row for row in rows if row["contrast"] == contrast]
+        ratios = [row["mean"] / equal[row["seed"]] for row in own]
+        errors = ", ".join(f"{row['mean']:.2f}" for row in own)
+        relations = ", ".join(dict.fromkeys(row["relation"] for row in own))
+        mean = f"{np.mean(ratios):.2f}", f"{max(ratios):.2f}"
+        yield [contrast, relations, ", ".join(str(row["seed"]) for row in own), errors, *mean]
+
+
+@study(
+    "registration.contrasts",
+    contrast_cases,
+    ("contrast", "relation", "seeds", "mean error by seed (mm)", "ratio to equal", "largest"),
+    rows=_contrast_rows,
+    page=_PAGE,
+)
+def contrasts(given: Contrasted) -> dict[str, Any]:
+    """Compare the displacements of a head with the true ones, for images of other contrasts."""
+    made = case(given.head, "splines", given.seed, given.contrast)
+    found = register(made.fixed, made.moving, spacing=given.head.spacing)
+    away = np.linalg.norm(found.displacement - made.displacement, axis=-1)[given.head.brain]
+    return {
+        "contrast": given.contrast,
+        "seed": given.seed,
+        "relation": found.relation,
+        "mean": float(away.mean()),
     }
 
 
