@@ -217,6 +217,9 @@ class RegistrationCase(Resampling, TissueFiles):
         Relation of the brightness of both images: bright tissue is bright in both (same), dark in
         one of them (inverse), or the brightness of one image is another function of that of the
         other (other), as in two sequences of an MRI. By default, the images decide (auto).
+    compare_all : bool
+        Compare all pixels that count, also of tissue that exists in one image only, such as a
+        tumour before an operation; by default, such tissue is found and has no effect.
     """
 
     fixed: Image = field(kw_only=False)
@@ -230,3 +233,4 @@ class RegistrationCase(Resampling, TissueFiles):
     alignment: Alignment | None = field(default=None, metadata=WORDS_AS_FLAGS)
     smoothness: Positive = 1.0
     similarity: Similarity = "auto"
+    compare_all: Flag = False

@@ -148,6 +148,7 @@ def register_files(
             initial=matrix,
             smoothness=case.smoothness,
             similarity=case.similarity,
+            compare_all=case.compare_all,
             progress=lambda monitor: report(
                 Monitor(monitor.message, _REGISTERED * monitor.fraction)
             ),
@@ -161,6 +162,12 @@ def register_files(
     notes = [*pair.notes, *_notes_on(found, solution, pair, marks)]
     report(Monitor("writing the results", 1.0))
     write_study(folder / names.study, study, solution)
+    if found.missing is not None:
+        sites = sites_in_words(int(found.missing.sum()), found.missing.ndim)
+        notes.append(
+            f"tissue at {sites} has no counterpart in {case.moving.name} and was not compared; see "
+            f"{names.missing}, or use --compare-all"
+        )
     notes += _write_images(folder, names, pair, found, result_suffix(case.fixed))
     content = _report_of(case, pair, found, time.perf_counter() - started)
     if found.similarity <= min(found.similarity_before, _ALIKE):
@@ -180,6 +187,7 @@ class _Names(NamedTuple):
     deformed: str
     registered: str
     jacobian: str
+    missing: str
     field: str
     report: str
 
@@ -192,6 +200,7 @@ class _Names(NamedTuple):
             f"{fixed} deformed{suffix}",
             f"{moving} registered{suffix}",
             f"{fixed} jacobian{suffix}",
+            f"{fixed} missing{suffix}",
             f"{fixed} to {moving} field.mha",
             f"{fixed} registration.json",
         )
@@ -539,6 +548,8 @@ def _write_images(
         names.registered: found.resample(other),
         names.jacobian: solution.jacobian(),
     }
+    if found.missing is not None:
+        pictures[names.missing] = found.missing.astype(np.uint8)
     for name, pixels in pictures.items():
         write_image(folder / name, result_image(pixels, solution, suffix))
     if not has_simpleitk():
@@ -574,6 +585,7 @@ def _report_of(
         "smoothness": case.smoothness,
         "similarity": case.similarity,
         "relation": found.relation,
+        "missing_sites": 0 if found.missing is None else int(found.missing.sum()),
         "similarity_before": round(found.similarity_before, _DECIMALS),
         "similarity_after": round(found.similarity, _DECIMALS),
         "largest_displacement": float(f"{largest:.4g}"),

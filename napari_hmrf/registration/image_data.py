@@ -161,23 +161,25 @@ class ImageLevel:
             np.asarray(sums / np.maximum(share, _TINY), np.float32) for sums, share in self._parts
         )
         places = moved_places(displacement, self.spacing)
-        warped = _sampled(moving, places, self._checkpoint)
+        warped = sampled_linearly(moving, places, self._checkpoint)
         both = known > 0.999
         (_, share), (_, share_of_moving) = self._parts
         if self.relation == "from fixed":
-            expected = _expected(fixed, fixed[both], warped[both])
+            expected = expected_brightness(fixed, fixed[both], warped[both])
             self._fixed, _ = normalized(expected * share, share, self._checkpoint)
             self._slopes = self._gradient(self._fixed)
         else:
             share = share_of_moving
-            expected = _expected(moving, warped[both], fixed[both])
+            expected = expected_brightness(moving, warped[both], fixed[both])
             self._moving, _ = normalized(expected * share, share, self._checkpoint)
 
     def warped(self, displacement: npt.NDArray[np.floating]) -> tuple[FloatArray, FloatArray]:
         """Return M(X + d(X)), and the fraction of each pixel that counts in both images."""
         places = moved_places(displacement, self.spacing)
         images = self._moving, self._known
-        warped, known = _parallel(lambda image: _sampled(image, places, self._checkpoint), images)
+        warped, known = _parallel(
+            lambda image: sampled_linearly(image, places, self._checkpoint), images
+        )
         return warped, known * self._counted
 
     def agreement(self, displacement: npt.NDArray[np.floating]) -> tuple[float, float]:
@@ -311,7 +313,7 @@ def is_function(relation: Relation) -> bool:
     return relation in ("from fixed", "from moving")
 
 
-def _expected(brightness: FloatArray, given: FloatArray, other: FloatArray) -> FloatArray:
+def expected_brightness(brightness: FloatArray, given: FloatArray, other: FloatArray) -> FloatArray:
     """Return the mean of `other` over the pixels whose brightness `given` is about that of a pixel.
 
     Parameters
@@ -417,7 +419,9 @@ def _solved(matrix: npt.NDArray[np.float64], right: list[Any]) -> list[npt.NDArr
     return [sum(cofactors[i][j] * right[j] for j in range(axes)) / safe for i in range(axes)]
 
 
-def _sampled(image: FloatArray, places: list[FloatArray], checkpoint: Checkpoint) -> FloatArray:
+def sampled_linearly(
+    image: FloatArray, places: Sequence[FloatArray], checkpoint: Checkpoint
+) -> FloatArray:
     """Interpolate an image linearly, a few rows or planes at a time; 0 outside of the image."""
     out = np.empty(places[0].shape, np.float32)
     rows = max(1, 2**20 // max(out[0].size, 1))

@@ -11,14 +11,16 @@ import scipy
 
 from napari_hmrf.arguments import is_one_of, refuse_unless, require_kind
 from napari_hmrf.checks import Positive, convert
-from napari_hmrf.errors import ProblemError
+from napari_hmrf.errors import Cancelled, ProblemError
 from napari_hmrf.field.brightness import luminance
 from napari_hmrf.field.warp import Spacing
 from napari_hmrf.real_arrays import as_mask, as_numbers, checked_spacing
 from napari_hmrf.registration.alignment import align, matrix_in_pixels
 from napari_hmrf.registration.image_data import BoolArray, FloatArray
 from napari_hmrf.registration.matching import SIMILARITIES, Images, Match, Show, match, placeholder
+from napari_hmrf.registration.missing_tissue import around_missing, missing_tissue
 from napari_hmrf.registration.result import Registration
+from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.problem import Problem, as_stiffness
 from napari_hmrf.solver.solve import CancelFlag, Progress
@@ -47,6 +49,7 @@ def register(
     initial: str | npt.ArrayLike | Registration | None = None,
     smoothness: float = 1.0,
     similarity: str = "auto",
+    compare_all: bool = False,
     progress: Progress | None = None,
     cancel: CancelFlag | None = None,
 ) -> Registration:
@@ -54,7 +57,8 @@ def register(
 
     The tissue of the fixed image moves until the moved image looks like the moving image. The
     brightness of both images is normalized locally, so that a different brightness, contrast, or
-    bias does not matter. The images may have different contrasts (`similarity`). Nothing folds.
+    bias does not matter. The images may have different contrasts (`similarity`). Tissue that exists
+    in one image only is found, and the images are registered again without it. Nothing folds.
 
     Parameters
     ----------
@@ -71,8 +75,7 @@ def register(
         and ``inf`` is rigid tissue, which turns and shifts as a whole. Only ratios matter. By
         default, all pixels are tissue of the same stiffness.
     masks : array_like of bool, or tuple of two arrays, optional
-        Pixels of `fixed` that count, or of `fixed` and `moving`; None for all pixels. Tissue that
-        is missing in one image, such as a tumour after surgery, should not count.
+        Pixels of `fixed` that count, or of `fixed` and `moving`; None for all pixels.
     landmarks : Landmarks, optional
         Points of `fixed` with their positions in `moving` after the alignment, as in a `Problem`.
     initial : {"rigid", "affine"}, array_like or Registration, optional
@@ -88,6 +91,10 @@ def register(
         of them; or the brightness of one image is another function of that of the other, as in two
         sequences of an MRI. By default, the relation with the largest correlation on pixels of low
         resolution; `Registration.relation` contains it.
+    compare_all : bool
+        True to compare all pixels that count, also of tissue that exists in one image only, such as
+        a tumour before an operation. By default, such tissue is found (`Registration.missing`), and
+        has no effect.
     progress, cancel
         As in `solve`.
 
@@ -165,6 +172,7 @@ def register(
         moving_spacing=own_sizes,
         smoothness=smoothness,
         similarity=similarity,
+        compare_all=compare_all,
         start=start,
         progress=progress,
         cancel=cancel,
@@ -181,12 +189,16 @@ def registered(
     moving_spacing: tuple[float, ...],
     smoothness: float = 1.0,
     similarity: str = "auto",
+    compare_all: bool = False,
     start: npt.NDArray[np.floating] | None = None,
     progress: Progress | None = None,
     cancel: CancelFlag | None = None,
     show: Show | None = None,
 ) -> Registration:
     """Match the images on the grid of a problem, and return the registration.
+
+    Tissue that exists in one image only is found, and the images are matched again without it,
+    unless `compare_all` is True.
 
     Parameters
     ----------
@@ -195,19 +207,40 @@ def registered(
     matrix, moving_spacing
         As in a `Registration`.
     """
-    try:
-        found = match(
+
+    def matched(compared: Images, passes: tuple[float, float], note: str = "") -> Match:
+        return match(
             problem,
             prior,
-            images,
+            compared,
             unit=unit,
             smoothness=smoothness,
             similarity=similarity,
             start=start,
-            progress=progress,
+            progress=_part(progress, passes, note),
             cancel=cancel,
             show=show,
         )
+
+    def checkpoint() -> None:
+        if cancel is not None and cancel.is_set():
+            raise Cancelled
+
+    def missing_in(found: Match) -> BoolArray:
+        motion, sizes = found.solution.displacement, problem.spacing
+        pair = (images.fixed, images.moving), images.counted
+        return missing_tissue(*pair, motion, sizes, found.relation, checkpoint)
+
+    missing = None
+    try:
+        found = matched(images, (0.0, 1.0 if compare_all else 0.5))
+        if not compare_all and (first := missing_in(found)).any():
+            around = around_missing(first, found.solution.displacement, problem.spacing)
+            fixed, moving = images.counted
+            again = images._replace(counted=(fixed & ~around.fixed, moving & ~around.moving))
+            found = matched(again, (0.5, 1.0), "without missing tissue: ")
+            # Where tissue no longer follows a wrong structure, its edge is found more exactly.
+            missing = second if (second := missing_in(found)).any() else first
     except ProblemError as error:
         if error.field == "confidence":  # no pixel counts on a level
             raise _nothing_in_common("fixed") from None
@@ -232,7 +265,21 @@ def registered(
         history=found.history,
         prior=prior,
         relation=found.relation,
+        missing=missing,
     )
+
+
+def _part(progress: Progress | None, bounds: tuple[float, float], note: str) -> Progress | None:
+    """Return a function that reports the progress of a part of the work, with a note before it."""
+    if progress is None:
+        return None
+    first, last = bounds
+
+    def report(monitor: Monitor) -> None:
+        fraction = first + (last - first) * monitor.fraction
+        progress(Monitor(note + monitor.message, fraction))
+
+    return report
 
 
 def on_grid(

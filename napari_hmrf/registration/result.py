@@ -61,6 +61,9 @@ class Registration:
     relation : {"same", "inverse", "from fixed", "from moving"}
         Relation of the brightness of both images: bright tissue is bright in both, or dark in one
         of them, or the brightness of one image is another function of that of the other.
+    missing : ndarray of bool, shape (H, W) or (D, H, W), or None
+        Mask of the tissue of the fixed image without counterpart in the moving image, which has no
+        effect; None if there is none.
     """
 
     solution: Solution
@@ -76,6 +79,7 @@ class Registration:
     prior: ElasticPrior
     landmarks: Landmarks | None = None
     relation: Relation = "same"
+    missing: npt.NDArray[np.bool_] | None = None
 
     def __repr__(self) -> str:
         return (

@@ -141,6 +141,7 @@ def register_study(
         "before": found.similarity_before,
         "similarity": found.similarity,
         "relation": found.relation,
+        "missing sites": 0 if found.missing is None else int(found.missing.sum()),
         "residual": found.residual,
         "sd": found.sd,
     }

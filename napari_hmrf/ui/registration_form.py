@@ -8,6 +8,7 @@ from magicgui.widgets import Container, PushButton
 from psygnal import Signal
 
 from napari_hmrf.extras import how_to_install
+from napari_hmrf.real_arrays import sites_in_words
 from napari_hmrf.registration.alignment import Kind
 from napari_hmrf.registration.result import agreement_in_words
 from napari_hmrf.study.measured_motion import MeasuredMotion
@@ -142,6 +143,11 @@ def described(measured: MeasuredMotion) -> str:
         text += f" Agreement when registered: {agreement_in_words(before, after)}."
         if record.get("relation", "same") != "same":
             text += " The images have different contrasts."
+        if count := record.get("missing sites", 0):
+            text += (
+                f" {sites_in_words(count, len(measured.shape) - 1)} of tissue without counterpart "
+                "were found and not compared."
+            )
         if after < _POOR:
             text += " The images agree poorly: use 'align first', or choose another second image."
     return text

@@ -11,6 +11,9 @@ bias and noise. Seeds 0 and 1 were used to choose the settings of all programs.
 `contrasts` registers the truths ``splines`` with images of other contrasts: inverted, similar to a
 T2-weighted MRI, and another nonlinear function of brightness.
 
+`missing` removes tissue of a head, or lets a tumour take its place and push the tissue around it,
+and measures errors within 12 mm of the missing tissue.
+
 `pairs` registers two pictures of neighbouring sections after the same affine map, and compares
 landmarks (``--files FIXED MOVING [FIXED.csv MOVING.csv]``): rows of number, x and y, or else
 features that are matched in both pictures as in `sections`.
@@ -722,6 +725,104 @@ def contrasts(given: Contrasted) -> dict[str, Any]:
         "seed": given.seed,
         "relation": found.relation,
         "mean": float(away.mean()),
+    }
+
+
+# Missing tissue.
+
+#: Brightness of a cavity and of a tumour; radius of both in mm; radius of the tissue that becomes a
+#: tumour, relative to it; distance in mm over which the tissue around a tumour is pushed away.
+_CAVITY, _TUMOUR, _RADII, _GROWN, _REACH = 0.22, 0.95, (12.0, 18.0), 0.8, 12.0
+
+
+class Lacking(NamedTuple):
+    """Registration of a head whose tissue is partly missing in the moving image."""
+
+    kind: str
+    seed: int
+    head: Head
+
+
+def lacking_cases(options: Options) -> Iterator[tuple[str, Lacking]]:
+    """Yield the kinds and seeds for the head of the command."""
+    head = head_of(options)
+    for kind in ("resection", "tumour"):
+        for seed in options.seeds or options.choose((2, 3, 4, 5, 6), (2,)):
+            yield f"{kind}, seed {seed}", Lacking(kind, seed, head)
+
+
+def without_tissue(given: Lacking) -> tuple[Case, Array, Array]:
+    """Return a case, and the masks of the tissue without counterpart in each image."""
+    head, rng = given.head, np.random.default_rng([given.seed, given.kind == "tumour", 7])
+    fixed, displacement = TRUTHS["splines"](head, rng)
+    inner = np.argwhere(_deeper(head, _RADII[0]))
+    offsets = _offsets(head, inner[rng.integers(len(inner))])
+    radius = rng.uniform(*_RADII)
+    far = np.linalg.norm(offsets * rng.uniform(0.8, 1.25, 3), axis=-1)
+    content = np.full(fixed.shape, _CAVITY)
+    if given.kind == "tumour":
+        inside = _GROWN * radius
+        grown = (radius - inside) * np.exp(-np.maximum(far - inside, 0) / _REACH)
+        outward = offsets / np.maximum(np.linalg.norm(offsets, axis=-1, keepdims=True), 1e-6)
+        push = (grown * np.minimum(far / inside, 1))[..., None] * outward
+        displacement = _unfolded(displacement + push, head.spacing)
+        radius = inside
+        texture = ndimage.gaussian_filter(rng.normal(size=fixed.shape), 2.0)
+        content = _TUMOUR + 0.03 * texture / texture.std()
+    gone = far <= radius
+    hole = ndimage.gaussian_filter(gone.astype(np.float32), 0.7)
+    hole = warp(hole, displacement, spacing=head.spacing)
+    moving = (1 - hole) * warp(fixed, displacement, spacing=head.spacing) + hole * content
+    moving = degraded(rng, moving.astype(np.float32), head.spacing)
+    return Case(fixed, moving, displacement), gone, hole > 0.5
+
+
+def _lacking_rows(results: Results) -> Iterator[list[Any]]:
+    rows = list(results.values())
+    for kind in dict.fromkeys(row["kind"] for row in rows):
+        own = [row for row in rows if row["kind"] == kind]
+        yield [
+            kind,
+            ", ".join(str(row["seed"]) for row in own),
+            *(
+                ", ".join(f"{row[name]:.2f}" for row in own)
+                for name in ("dice", "found", "masks", "all")
+            ),
+            f"{np.mean([row['found'] / row['masks'] for row in own]):.2f}",
+        ]
+
+
+@study(
+    "registration.missing",
+    lacking_cases,
+    (
+        "tissue", "seeds", "Dice", "error (mm)", "with true masks", "all compared",
+        "ratio to true masks",
+    ),
+    rows=_lacking_rows,
+    page=_PAGE,
+)  # fmt: skip
+def lacking(given: Lacking) -> dict[str, Any]:
+    """Compare displacements near missing tissue with the true ones, with and without masks."""
+    (fixed, moving, truth), gone, hole = without_tissue(given)
+    head = given.head
+    near = ndimage.distance_transform_edt(~gone, sampling=head.spacing) < _REACH
+
+    def error(displacement: Array) -> float:
+        away = np.linalg.norm(displacement - truth, axis=-1)
+        return float(away[head.brain & near & ~gone].mean())
+
+    found = register(fixed, moving, spacing=head.spacing)
+    masked = register(fixed, moving, spacing=head.spacing, masks=(~gone, ~hole), compare_all=True)
+    compared = register(fixed, moving, spacing=head.spacing, compare_all=True)
+    missing = np.zeros_like(gone) if found.missing is None else found.missing
+    return {
+        "kind": given.kind,
+        "seed": given.seed,
+        "dice": 2 * (missing & gone).sum() / (missing.sum() + gone.sum()),
+        "found": error(found.displacement),
+        "masks": error(masked.displacement),
+        "all": error(compared.displacement),
     }
 
 
