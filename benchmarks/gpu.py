@@ -143,6 +143,7 @@ def measured(work: Work, turns: int) -> list[float]:
 def works(size: int, backend: str) -> dict[str, Work]:
     """Return a warm solve, and a frame of a drag that moves a patch by a pixel."""
     given = phantom(PHANTOM, size).problem
+    solve(given, ELASTIC, optimizer=WITHIN, backend="cpu")  # compiles the loops of the host's part
     frames = [moved_patch(given, pixels) for pixels in (0.0, 1.0, 0.5)]
     answers: list[Update] = []
 

@@ -190,6 +190,7 @@ def registered(
     smoothness: float = 1.0,
     similarity: str = "auto",
     compare_all: bool = False,
+    missing: BoolArray | None = None,
     start: npt.NDArray[np.floating] | None = None,
     progress: Progress | None = None,
     cancel: CancelFlag | None = None,
@@ -198,7 +199,7 @@ def registered(
     """Match the images on the grid of a problem, and return the registration.
 
     Tissue that exists in one image only is found, and the images are matched again without it,
-    unless `compare_all` is True.
+    unless `compare_all` is True. If a mask of such tissue is given, it is not searched.
 
     Parameters
     ----------
@@ -206,7 +207,12 @@ def registered(
         As in `match`.
     matrix, moving_spacing
         As in a `Registration`.
+    missing : ndarray of bool, shape (H, W) or (D, H, W), optional
+        Mask of the tissue of the fixed image without counterpart.
     """
+    fixed, moving = images.counted
+    first = images if missing is None else images._replace(counted=(fixed & ~missing, moving))
+    once = compare_all and missing is None
 
     def matched(compared: Images, passes: tuple[float, float], note: str = "") -> Match:
         return match(
@@ -231,16 +237,18 @@ def registered(
         pair = (images.fixed, images.moving), images.counted
         return missing_tissue(*pair, motion, sizes, found.relation, checkpoint)
 
-    missing = None
+    region = missing
     try:
-        found = matched(images, (0.0, 1.0 if compare_all else 0.5))
-        if not compare_all and (first := missing_in(found)).any():
-            around = around_missing(first, found.solution.displacement, problem.spacing)
-            fixed, moving = images.counted
+        found = matched(first, (0.0, 1.0 if once else 0.5))
+        if region is None and not compare_all:
+            region = missing_in(found)
+        if region is not None and region.any():
+            around = around_missing(region, found.solution.displacement, problem.spacing)
             again = images._replace(counted=(fixed & ~around.fixed, moving & ~around.moving))
             found = matched(again, (0.5, 1.0), "without missing tissue: ")
             # Where tissue no longer follows a wrong structure, its edge is found more exactly.
-            missing = second if (second := missing_in(found)).any() else first
+            if missing is None and (nearer := missing_in(found)).any():
+                region = nearer
     except ProblemError as error:
         if error.field == "confidence":  # no pixel counts on a level
             raise _nothing_in_common("fixed") from None
@@ -265,7 +273,7 @@ def registered(
         history=found.history,
         prior=prior,
         relation=found.relation,
-        missing=missing,
+        missing=region if region is not None and region.any() else None,
     )
 
 

@@ -61,6 +61,7 @@ def register_study(
     second: SecondPicture,
     *,
     alignment: Kind | None = None,
+    missing: BoolArray | None = None,
     progress: Progress | None = None,
     cancel: CancelFlag | None = None,
     checkpoint: Callable[[], None] = lambda: None,
@@ -79,6 +80,8 @@ def register_study(
     second : SecondPicture
     alignment : {"rigid", "affine"}, optional
         Alignment of the second image, before tissue moves; not a motion of the tissue.
+    missing : ndarray of bool, shape ([D,] H, W), optional
+        Mask of the tissue without counterpart in the second image; by default, it is found.
     progress, cancel
         As in `solve`.
     checkpoint : callable
@@ -130,6 +133,7 @@ def register_study(
             unit=ground.typical_stiffness,
             matrix=matrix,
             moving_spacing=sizes,
+            missing=missing,
             progress=progress,
             cancel=cancel,
             show=show,

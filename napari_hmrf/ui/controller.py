@@ -89,7 +89,7 @@ class Controller:
         pointer: Pointer,
         session: Session,
     ) -> None:
-        self._viewer, self.form, self.binding, self.pointer = viewer, form, binding, pointer
+        self.viewer, self.form, self.binding, self.pointer = viewer, form, binding, pointer
         self.session = session
         self._is_released = False
         # True if the choices could not be read, so that the last study is not the current one.
@@ -119,7 +119,7 @@ class Controller:
     @property
     def view(self) -> View:
         """View of the visible slice, or of the volume if a volume is deformed."""
-        return view_of(self._viewer, self.session)
+        return view_of(self.viewer, self.session)
 
     @property
     def busy(self) -> bool:
@@ -218,7 +218,7 @@ class Controller:
     def refuse(self, error: Exception) -> None:
         """Report why a request cannot be carried out."""
         if isinstance(error, NoImageError):
-            reason = messages.no_image(has_layers=bool(self._viewer.layers))
+            reason = messages.no_image(has_layers=bool(self.viewer.layers))
         else:
             reason = messages.in_short(error)
         self.refusal.emit(reason)
@@ -295,7 +295,7 @@ class Controller:
             self.latest_changed.emit()
             self.engine.rehearse(study)
             self.slice_changed.emit(study)
-        ways = directions_of(place.known_place, self._viewer)
+        ways = directions_of(place.known_place, self.viewer)
         self.curve_layer.show(study, source)
         self.form.show_place(unit_symbol(place.unit), ways, study.tissue.unit)
 
@@ -473,7 +473,7 @@ class Controller:
         self._failure = "" if lacks_image else messages.in_short(error)
         self.outdated.emit()
         self.latest_changed.emit()
-        self._emit_message(always=lacks_image and not self._viewer.layers)
+        self._emit_message(always=lacks_image and not self.viewer.layers)
 
     def _clear_result(self) -> None:
         """Reset to the undeformed state, and discard the result."""

@@ -7,9 +7,12 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from napari.layers import Layer
 
 from napari_hmrf.compute.thread import compute_thread
+from napari_hmrf.layers.missing_layer import missing_in, missing_layer, missing_layer_of
 from napari_hmrf.layers.second_picture import align_layer
+from napari_hmrf.layers.viewer_layers import layers_of
 from napari_hmrf.registration.matching import Step
 from napari_hmrf.registration.study_registration import RegisteredStudy, register_study
 from napari_hmrf.results.finer_grid import on_finer_grid
@@ -56,11 +59,14 @@ class Registering(PairJob):
         # Where an earlier result folded, large motion has taken the place of the elastic model.
         model = self._session.model.before_unfolding
         self._study = study = replace(pair[0], prior=model.prior, optimizer=model.optimizer)
+        painted = self._missing_layer(study)
+        missing = None if painted is None else missing_in(painted, study.grid.shape)
         work = partial(
             register_study,
             study,
             pair[1],
             alignment=self._form.alignment.value,
+            missing=missing,
             progress=self._controller.engine.report,
             checkpoint=compute_thread.check_cancelled,
             show=partial(self._on_level, study),
@@ -90,6 +96,7 @@ class Registering(PairJob):
         # Delivered only if nothing was edited since: the inputs are compared.
         self._controller.engine.deliver_again(found.study, found.registration.solution)
         self._session.register(part, measured)
+        self._show_missing(found)
         parts = [described(measured), _EDGE if measured.frees_edge else ""]
         matrix = found.registration.matrix
         if not np.array_equal(matrix, np.eye(len(matrix))):
@@ -98,6 +105,19 @@ class Registering(PairJob):
                 self._form.alignment.value = None
                 parts.append(_MOVED.format(second.name))
         self.message.emit(" ".join(filter(None, parts)))
+
+    def _missing_layer(self, study: Study) -> Any:
+        """Return the layer with the tissue without counterpart of a study, or None."""
+        frame, image = study.grid.known_place, study.pictures.name
+        return missing_layer_of(self._controller.viewer.layers, frame, image)
+
+    def _show_missing(self, found: RegisteredStudy) -> None:
+        """Show the tissue without counterpart in a layer, unless the user has given it."""
+        missing, study = found.registration.missing, found.study
+        if missing is None or self._missing_layer(study) is not None:
+            return
+        made = missing_layer(missing, study.grid.known_place, study.pictures.name)
+        layers_of(self._controller.viewer).add(Layer.create(*made))
 
     def _remove(self, *_: Any) -> None:
         self._session.unregister(self._session.measured_part, "removed the registration")

@@ -146,7 +146,8 @@ def described(measured: MeasuredMotion) -> str:
         if count := record.get("missing sites", 0):
             text += (
                 f" {sites_in_words(count, len(measured.shape) - 1)} of tissue without counterpart "
-                "were found and not compared."
+                "was not compared: correct it in the layer '... without counterpart', and register "
+                "again."
             )
         if after < _POOR:
             text += " The images agree poorly: use 'align first', or choose another second image."

@@ -81,6 +81,30 @@ def test_a_press_moves_the_tissue_to_the_second_image(window, wait_for):
     assert "The registration was removed" in dock.status
 
 
+def test_tissue_without_counterpart_is_shown_and_can_be_corrected(frame, wait_for):
+    shape = (160, 160)
+    before, truth = ndimage.gaussian_filter(texture(3, shape), 2), bend(shape, 2.0)
+    far = np.hypot(*(np.indices(shape) - 80))
+    after = warp(np.where(far < 16, 0, before), truth, spacing=1)
+    viewer, dock = frame.viewer, frame.open()
+    dock.image = viewer.add_image(before, name="before", scale=(0.5, 0.5))
+    dock.compare_with = viewer.add_image(after, name="after", scale=(0.5, 0.5))
+    wait_for(lambda: not dock.busy)
+    register(dock, wait_for)
+    assert "was not compared: correct it in the layer" in Screen(dock).words
+    shown = viewer.layers["before without counterpart"]
+    assert np.allclose(shown.scale, 0.5)
+    assert shown.data[80, 80] == 1
+    assert shown.data[far > 24].sum() == 0
+    first = dock.solution.displacement
+    assert dock.tissue is None, "the layer is no tissue"
+    shown.data = (far < 40).astype(np.uint8)
+    Screen(dock).press("Register again")
+    wait_for(lambda: not dock.busy and dock.solution.displacement is not first)
+    assert not np.allclose(dock.solution.displacement, first, atol=0.01)
+    assert (shown.data == (far < 40)).all()
+
+
 def test_a_pull_corrects_the_registration(window, wait_for):
     dock, truth = window()
     register(dock, wait_for)
