@@ -144,10 +144,10 @@ def described(measured: MeasuredMotion) -> str:
         if record.get("relation", "same") != "same":
             text += " The images have different contrasts."
         if count := record.get("missing sites", 0):
+            sites = sites_in_words(count, len(measured.shape) - 1)
             text += (
-                f" {sites_in_words(count, len(measured.shape) - 1)} of tissue without counterpart "
-                "was not compared: correct it in the layer '... without counterpart', and register "
-                "again."
+                f" Tissue without counterpart ({sites}) was not compared: correct it in the layer "
+                "'... without counterpart', and register again."
             )
         if after < _POOR:
             text += " The images agree poorly: use 'align first', or choose another second image."

@@ -106,6 +106,35 @@ def test_unrelated_or_distant_images_count_as_images_of_the_same_contrast():
     assert register(texture(), np.roll(texture(), 8, axis=1), spacing=1).relation == "same"
 
 
+def test_a_cavity_is_found_and_does_not_distort_the_tissue_around_it():
+    shape = (160, 160)
+    before, truth = texture(3, shape, 3.0), bend(shape, 4.0)
+    far = np.hypot(*(np.indices(shape) - 80))
+    gone = far < 16
+    hole = ndimage.gaussian_filter(gone.astype(float), 1)
+    after = warp((1 - hole) * before, truth, spacing=1)
+    after += np.random.default_rng(0).normal(scale=0.01, size=shape)
+    found, all_compared = (
+        register(before, after, spacing=1, compare_all=each) for each in (False, True)
+    )
+    assert found.missing is not None
+    assert all_compared.missing is None
+    assert 2 * (found.missing & gone).sum() > 0.7 * (found.missing.sum() + gone.sum())
+    ring = (far > 17) & (far < 28)
+    errors = [
+        np.linalg.norm(each.displacement - truth, axis=-1)[ring].mean()
+        for each in (found, all_compared)
+    ]
+    assert errors[0] < 0.7 * errors[1]
+
+
+def test_tissue_that_only_moves_is_not_missing(pair, found):
+    assert found.missing is None
+    noise = np.random.default_rng(0).normal(scale=0.05, size=pair[0].shape)
+    assert register(pair[0], 1 - pair[1] ** 2 + noise, spacing=1).missing is None
+    assert register(texture(), texture(1), spacing=1).missing is None
+
+
 def test_long_pixels_give_the_same_motion_in_millimetres(pair):
     before, after, truth = pair
     longer = np.array([2.0, 1.0])

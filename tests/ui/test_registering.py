@@ -91,7 +91,7 @@ def test_tissue_without_counterpart_is_shown_and_can_be_corrected(frame, wait_fo
     dock.compare_with = viewer.add_image(after, name="after", scale=(0.5, 0.5))
     wait_for(lambda: not dock.busy)
     register(dock, wait_for)
-    assert "was not compared: correct it in the layer" in Screen(dock).words
+    assert ") was not compared: correct it in the layer" in Screen(dock).words
     shown = viewer.layers["before without counterpart"]
     assert np.allclose(shown.scale, 0.5)
     assert shown.data[80, 80] == 1

@@ -203,6 +203,8 @@ def test_the_next_solve_of_the_same_tissue_copies_only_the_edit(ledger, monkeypa
     warm = solve(edited, ElasticPrior(), backend="opengl", initial=[again, first])
     assert written == [(col // 2, row, 1, 1)]
     assert warm.displacement[row, col, component] == pushed[row, col, component]
+    back = solve(replace(problem), ElasticPrior(), backend="opengl", initial=[warm])
+    assert back.displacement[row, col, component] == problem.observed[row, col, component]
     cold = solve(edited, ElasticPrior(), backend="cpu")
     assert np.abs(warm.displacement - cold.displacement).max() < 2e-3
 
