@@ -1,7 +1,7 @@
 """Registration of two image files, and the files of its result.
 
 Both images are read with their positions in space. The registration starts from these positions,
-or from an alignment by SimpleITK.
+or from an alignment.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from napari_hmrf.io.overwriting import refuse_overwriting
 from napari_hmrf.io.study_file import is_study_file, write_study
 from napari_hmrf.io.sweeps import with_ratio
 from napari_hmrf.real_arrays import grid_in_words, sites_in_words
-from napari_hmrf.registration.alignment import align
+from napari_hmrf.registration.alignment import Alignment, align
 from napari_hmrf.registration.register import register
 from napari_hmrf.registration.result import Registration, relation_in_words
 from napari_hmrf.solver.optimizers import Monitor
@@ -127,9 +127,10 @@ def register_files(
     folder.mkdir(parents=True, exist_ok=True)  # before the work, so that errors occur early
     report = progress or (lambda monitor: None)
     matrix = pair.positions
+    aligned: tuple[str, ...] = ()
     if case.alignment is not None:
         report(Monitor(f"aligning the images ({case.alignment})", 0.0))
-        matrix = _aligned(case.alignment, pair)
+        matrix, aligned = _aligned(case.alignment, pair)
     marks = None if case.landmarks is None else _landmarks(case, pair, matrix)
     with naming(
         fixed=case.fixed.name,
@@ -159,7 +160,7 @@ def register_files(
     report(Monitor("solving the study", _REGISTERED))
     study = _study_of(case, pair, found)
     solution = solve_statement(study, Ground.of(study).statement())
-    notes = [*pair.notes, *_notes_on(found, solution, pair, marks)]
+    notes = [*pair.notes, *aligned, *_notes_on(found, solution, pair, marks)]
     report(Monitor("writing the results", 1.0))
     write_study(folder / names.study, study, solution)
     if found.missing is not None:
@@ -412,11 +413,12 @@ def relative_place(
     return matrix, notes
 
 
-def _aligned(kind: Literal["rigid", "affine"], pair: _Pair) -> Float64Array:
-    """Return the matrix from positions in the fixed to the moving image, aligned by SimpleITK.
+def _aligned(kind: Literal["rigid", "affine"], pair: _Pair) -> Alignment:
+    """Return the alignment from positions in the fixed image to positions in the moving image.
 
     If the axes of the images are not parallel, the moving image is first resampled along the axes
-    of the fixed image, because the alignment does not find large rotations.
+    of the fixed image, because the alignment does not search mirror images, and prefers maps
+    without a turn.
     """
     fixed, moving = pair.finite
     masks = pair.counted
@@ -430,6 +432,7 @@ def _aligned(kind: Literal["rigid", "affine"], pair: _Pair) -> Float64Array:
             spacing=pair.spacing,
             moving_spacing=pair.moving_spacing,
             masks=masks,
+            start=pair.positions,
         )
     back = np.linalg.inv(turn)
     sizes = np.asarray(pair.moving_spacing)
@@ -450,6 +453,9 @@ def _aligned(kind: Literal["rigid", "affine"], pair: _Pair) -> Float64Array:
         )
         return out
 
+    matrix = np.eye(n + 1)
+    matrix[:n, :n], matrix[:n, n] = turn, turn @ start
+    before = np.linalg.inv(matrix) @ pair.positions
     found = align(
         kind,
         fixed,
@@ -457,10 +463,11 @@ def _aligned(kind: Literal["rigid", "affine"], pair: _Pair) -> Float64Array:
         spacing=pair.spacing,
         moving_spacing=tuple(spacing.tolist()),
         masks=(masks[0], resampled(masks[1]) > 0.5),
+        start=before,
     )
-    matrix = np.eye(n + 1)
-    matrix[:n, :n], matrix[:n, n] = turn, turn @ start
-    return matrix @ found
+    if np.array_equal(found.matrix, before):
+        return Alignment(pair.positions, found.notes)  # without rounding
+    return Alignment(matrix @ found.matrix, found.notes)
 
 
 def _landmarks(case: RegistrationCase, pair: _Pair, matrix: Float64Array) -> Landmarks:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import warnings
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +13,7 @@ import scipy
 
 from napari_hmrf.arguments import is_one_of, refuse_unless, require_kind
 from napari_hmrf.checks import Positive, convert
-from napari_hmrf.errors import Cancelled, ProblemError
+from napari_hmrf.errors import Cancelled, NoteWarning, ProblemError
 from napari_hmrf.field.brightness import luminance
 from napari_hmrf.field.warp import Spacing
 from napari_hmrf.real_arrays import as_mask, as_numbers, checked_spacing
@@ -79,10 +81,12 @@ def register(
     landmarks : Landmarks, optional
         Points of `fixed` with their positions in `moving` after the alignment, as in a `Problem`.
     initial : {"rigid", "affine"}, array_like or Registration, optional
-        Alignment of the images before the tissue deforms: computed by SimpleITK, or a homogeneous
-        matrix, shape (n + 1, n + 1), from positions in `fixed` to positions in `moving`, in the
-        unit of the spacing. A registration of the same images continues from its alignment and its
-        displacement. By default, the images are not aligned.
+        Alignment of the images before the tissue deforms: computed, for turns by any angle, or a
+        homogeneous matrix, shape (n + 1, n + 1), from positions in `fixed` to positions in
+        `moving`, in the unit of the spacing. A computed alignment that does not make the images
+        clearly more similar is left out, with a `NoteWarning` and a note of the solution. A
+        registration of the same images continues from its alignment and its displacement. By
+        default, the images are not aligned.
     smoothness : float
         Weight of the elastic energy, relative to the usual weight. A larger weight leads to smaller
         strains.
@@ -152,7 +156,9 @@ def register(
         )
     counted = _counted(masks, first, second)
     first, second = (np.where(np.isfinite(each), each, 0) for each in (first, second))
-    matrix, start = _initial(initial, first, second, sizes, own_sizes, counted)
+    matrix, start, notes = _initial(initial, first, second, sizes, own_sizes, counted)
+    for note in notes:
+        warnings.warn(note, NoteWarning, stacklevel=2)
     images = on_grid(first, second, counted, sizes, own_sizes, matrix)
     check_contrast(images)
     problem = Problem(
@@ -174,6 +180,7 @@ def register(
         similarity=similarity,
         compare_all=compare_all,
         start=start,
+        notes=notes,
         progress=progress,
         cancel=cancel,
     )
@@ -192,6 +199,7 @@ def registered(
     compare_all: bool = False,
     missing: BoolArray | None = None,
     start: npt.NDArray[np.floating] | None = None,
+    notes: tuple[str, ...] = (),
     progress: Progress | None = None,
     cancel: CancelFlag | None = None,
     show: Show | None = None,
@@ -209,6 +217,8 @@ def registered(
         As in a `Registration`.
     missing : ndarray of bool, shape (H, W) or (D, H, W), optional
         Mask of the tissue of the fixed image without counterpart.
+    notes : tuple of str
+        Notes on the alignment, which the solution receives.
     """
     fixed, moving = images.counted
     first = images if missing is None else images._replace(counted=(fixed & ~missing, moving))
@@ -260,7 +270,7 @@ def registered(
             "larger number; 1 is usual.",
         ) from None
     return Registration(
-        solution=found.solution,
+        solution=replace(found.solution, notes=(*found.solution.notes, *notes)),
         matrix=matrix,
         moving_spacing=moving_spacing,
         observed=found.images.observed,
@@ -356,11 +366,11 @@ def _initial(
     spacing: tuple[float, ...],
     moving_spacing: tuple[float, ...],
     counted: tuple[BoolArray, BoolArray],
-) -> tuple[Float64Array, npt.NDArray[np.floating] | None]:
-    """Return the alignment and the initial displacement, or None if there is none."""
+) -> tuple[Float64Array, npt.NDArray[np.floating] | None, tuple[str, ...]]:
+    """Return the alignment, the initial displacement or None, and notes on the alignment."""
     axes = fixed.ndim
     if initial is None:
-        return np.eye(axes + 1), None
+        return np.eye(axes + 1), None, ()
     if isinstance(initial, Registration):
         if initial.displacement.shape[:-1] != fixed.shape:
             raise ProblemError(
@@ -368,19 +378,20 @@ def _initial(
                 f"is a registration of images of shape {initial.displacement.shape[:-1]}, but "
                 f"fixed has shape {fixed.shape}. Pass a registration of the same images.",
             )
-        return initial.matrix, initial.displacement
+        return initial.matrix, initial.displacement, ()
     if isinstance(initial, str):
         known = is_one_of(initial, ("rigid", "affine"))
         refuse_unless(known, "initial", initial, '"rigid", "affine" or a matrix')
         kind: Any = initial
-        return align(
+        found = align(
             kind,
             fixed,
             moving,
             spacing=spacing,
             moving_spacing=moving_spacing,
             masks=counted,
-        ), None
+        )
+        return found.matrix, None, found.notes
     matrix = np.array(as_numbers("initial", initial), dtype=np.float64)
     valid = matrix.shape == (axes + 1, axes + 1) and np.isfinite(matrix).all()
     if not valid or abs(np.linalg.det(matrix)) < 1e-9:
@@ -389,7 +400,7 @@ def _initial(
             f"has shape {matrix.shape} or is not invertible. Pass a homogeneous matrix of shape "
             f"{(axes + 1, axes + 1)} from positions in fixed to positions in moving.",
         )
-    return matrix, None
+    return matrix, None, ()
 
 
 def _as_grey(name: str, image: npt.ArrayLike) -> FloatArray:

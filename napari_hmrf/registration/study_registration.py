@@ -79,7 +79,8 @@ def register_study(
         Study with an image.
     second : SecondPicture
     alignment : {"rigid", "affine"}, optional
-        Alignment of the second image, before tissue moves; not a motion of the tissue.
+        Alignment of the second image, before tissue moves; not a motion of the tissue. The solution
+        has a note if no alignment made the images clearly more similar.
     missing : ndarray of bool, shape ([D,] H, W), optional
         Mask of the tissue without counterpart in the second image; by default, it is found.
     progress, cancel
@@ -120,9 +121,10 @@ def register_study(
     fixed, counted = np.where(known, pixels, 0), (known, second.known)
     sizes = study.grid.spacing
     matrix: npt.NDArray[np.float64] = np.eye(len(sizes) + 1)
+    notes: tuple[str, ...] = ()
     if alignment is not None:
         both: dict[str, Any] = {"spacing": sizes, "moving_spacing": sizes}
-        matrix = align(alignment, fixed, second.pixels, masks=counted, **both)
+        matrix, notes = align(alignment, fixed, second.pixels, masks=counted, **both)
     images = on_grid(fixed, second.pixels, counted, sizes, sizes, matrix)
     with study.naming():
         check_contrast(images)
@@ -134,6 +136,7 @@ def register_study(
             matrix=matrix,
             moving_spacing=sizes,
             missing=missing,
+            notes=notes,
             progress=progress,
             cancel=cancel,
             show=show,
