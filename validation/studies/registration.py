@@ -18,6 +18,10 @@ and measures errors within 12 mm of the missing tissue.
 landmarks (``--files FIXED MOVING [FIXED.csv MOVING.csv]``): rows of number, x and y, or else
 features that are matched in both pictures as in `sections`.
 
+`alignment` turns and shifts images, and aligns them again with ``initial="rigid"``: each file of
+``--files`` is a picture or a volume, of which the middle slice is a picture, too; by default the
+synthetic samples of the package.
+
 The other programs are demons of SimpleITK, elastix and ANTs (``pip install itk-elastix antspyx``).
 Elastix and SyN receive images without bias (N4 of SimpleITK, not timed), because only `register`
 normalizes brightness. ``--methods demons elastix`` selects programs by the beginnings of their
@@ -38,6 +42,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
+from scipy.spatial.transform import Rotation
 
 from benchmarks.clock import timed
 from napari_hmrf import ElasticPrior, Multigrid, NeoHookeanPrior, Problem, solve, warp
@@ -47,11 +52,13 @@ from napari_hmrf.fields import count_folds, green_lagrange_strain, rmsd
 from napari_hmrf.io.images import read_image
 from napari_hmrf.loads import Loads
 from napari_hmrf.registration import register
+from napari_hmrf.registration.alignment import align
 from validation.oracles.elasticity import direct_solution
 from validation.study import (
     Options,
     Results,
     Table,
+    Target,
     draw_differences,
     draw_grid,
     new_figure,
@@ -986,6 +993,184 @@ def artefact(name: str) -> list[str]:
     found = register(image, given.after, spacing=1, masks=masks).displacement
     around = ndimage.binary_dilation(inside, iterations=5) & ~inside
     return [name, _error(found, given, around)]
+
+
+# Rigid alignment.
+
+#: Largest angle in degrees, and largest shift relative to the longest axis.
+_FARTHEST_TURN, _FARTHEST_SHIFT = 180.0, 0.3
+#: Mean error, relative to the diagonal, below which an alignment is found.
+_FOUND = 0.02
+#: Required part of alignments that are found, by number of axes.
+_REQUIRED = {2: 0.95, 3: 0.9}
+#: Size of a voxel in mm, and number of points along each axis at which errors are measured.
+_VOXEL, _POINTS = 4.0, 9
+
+
+class Aligned(NamedTuple):
+    """Pairs of images of one kind.
+
+    Attributes
+    ----------
+    name : str
+    image : ndarray, shape (H, W) or (D, H, W)
+    others : list of ndarray
+        Images with other content, if the pairs have nothing in common.
+    inverted : bool
+        True if the second image has inverted contrast.
+    numbers : range
+        Numbers of the pairs, which are the seeds.
+    """
+
+    name: str
+    image: Array
+    others: list[Array]
+    inverted: bool
+    numbers: range
+
+
+def aligned_cases(options: Options) -> Iterator[tuple[str, Aligned]]:
+    """Yield the images with the same and with inverted contrast, and pairs without common tissue.
+
+    There are a fifth as many pairs of the latter two.
+    """
+    from validation.studies.landmarks import grey
+
+    images: dict[str, Array] = {}
+    voxel = options.sizes[0] if options.sizes else options.choose(_VOXEL, 7.9)
+    for file in options.files:
+        if file.name.endswith((".nii.gz", ".nii", ".nrrd", ".mha")):
+            pixels = read_image(file).pixels.astype(np.float32)
+            images[f"{file.name}, slice"] = pixels[len(pixels) // 2] / pixels.max()
+            images[f"{file.name}, {voxel:g} mm"] = head_from_files(file, [], voxel).image
+        else:
+            images[file.name] = grey(file).astype(np.float32)
+    if not images:
+        images["phantom"] = phantom("mass-effect", options.choose(256, 64)).image.astype(np.float32)
+        images[f"head, {voxel:g} mm"] = phantom_head(round(190 / voxel)).image.astype(np.float32)
+    count = options.count or options.choose(50, 2)
+    few = range(options.first, options.first + max(1, count // 5))
+    for name, image in images.items():
+        others = [
+            other for key, other in images.items() if key != name and other.ndim == image.ndim
+        ]
+        yield name, Aligned(name, image, [], False, range(options.first, options.first + count))
+        yield f"{name}, inverted", Aligned(f"{name}, inverted", image, [], True, few)
+        if others:
+            yield f"{name}, other image", Aligned(f"{name}, other image", image, others, False, few)
+
+
+def turned_image(
+    rng: np.random.Generator, image: Array, *, inverted: bool = False
+) -> tuple[Array, Array]:
+    """Return an image that is turned about its centre and shifted, and the matrix of its motion.
+
+    The second image has another gamma, a smooth bias and noise; content from outside of the image
+    is black.
+
+    Parameters
+    ----------
+    rng : Generator
+    image : ndarray, shape (H, W) or (D, H, W)
+    inverted : bool
+        True to invert the contrast.
+
+    Returns
+    -------
+    tuple of ndarray
+        Image, and homogeneous matrix, shape (n + 1, n + 1), in pixels.
+    """
+    axes, shape = image.ndim, np.array(image.shape)
+    matrix = np.eye(axes + 1)
+    angle = math.radians(rng.uniform(0, _FARTHEST_TURN))
+    if axes == 2:
+        angle *= rng.choice((-1, 1))
+        cosine, sine = math.cos(angle), math.sin(angle)
+        turn = np.array([[cosine, -sine], [sine, cosine]])
+    else:
+        direction = rng.normal(size=3)
+        turn = Rotation.from_rotvec(angle * direction / np.linalg.norm(direction)).as_matrix()
+    direction = rng.normal(size=axes)
+    length = rng.uniform(0, _FARTHEST_SHIFT) * shape.max()
+    centre = (shape - 1) / 2
+    matrix[:axes, :axes] = turn
+    matrix[:axes, axes] = centre - turn @ centre + length * direction / np.linalg.norm(direction)
+    back = np.linalg.inv(matrix)
+    moved = ndimage.affine_transform(image, back[:axes, :axes], back[:axes, axes], order=1)
+    spacing = (200.0 / max(image.shape),) * axes  # a bias as smooth as in a head of 200 mm
+    changed = degraded(rng, moved, spacing)
+    return (1 - changed if inverted else changed), matrix
+
+
+def _away(found: Array, truth: Array, shape: tuple[int, ...]) -> float:
+    """Return the mean error of points that stay inside the image, relative to the diagonal."""
+    ends = [np.linspace(0, n - 1, _POINTS) for n in shape]
+    points = np.stack(np.meshgrid(*ends, indexing="ij"), axis=-1).reshape(-1, len(shape))
+    there, here = (points @ each[:-1, :-1].T + each[:-1, -1] for each in (truth, found))
+    inside = ((there >= 0) & (there <= np.array(shape) - 1)).all(axis=1)
+    away = np.linalg.norm(there - here, axis=1)[inside]
+    return float(away.mean() / np.linalg.norm(shape))
+
+
+def _alignment_targets(results: Results) -> Iterator[Target]:
+    rows = [row for row in results.values() if row["found"] is not None]
+    for axes, required in _REQUIRED.items():
+        own = [row for row in rows if row["axes"] == axes]
+        if own:
+            part = sum(row["found"] for row in own) / sum(row["pairs"] for row in own)
+            yield Target(f"part of the turns found in {axes}-D", part, required, at_least=True)
+    worse = sum(row["worse"] for row in results.values())
+    yield Target("alignments accepted although worse", worse, 0)
+
+
+def _alignment_rows(results: Results) -> Iterator[list[Any]]:
+    for row in results.values():
+        found, median = row["found"], row["median"]
+        cells = ("-", "-") if found is None else (found, f"{100 * median:.2f}")
+        yield [row["name"], row["pairs"], *cells, row["refused"], row["worse"], f"{row['s']:.1f}"]
+
+
+_ALIGNMENT_TITLES = ("image", "pairs", "found", "median error (% of the diagonal)", "refused")
+_ALIGNMENT_TITLES += ("accepted although worse", "processor time (s)")
+
+
+@study(
+    "registration.alignment",
+    aligned_cases,
+    _ALIGNMENT_TITLES,
+    rows=_alignment_rows,
+    targets=_alignment_targets,
+    page=_PAGE,
+)
+def alignment(given: Aligned) -> dict[str, Any]:
+    """Align images that are turned and shifted, with the same, inverted or another content."""
+    image, axes = given.image, given.image.ndim
+    still, errors, refused, worse, work = np.eye(axes + 1), [], 0, 0, 0.0
+    for number in given.numbers:
+        rng = np.random.default_rng([number, axes])
+        source = given.others[number % len(given.others)] if given.others else image
+        after, truth = turned_image(rng, source, inverted=given.inverted)
+        masks = np.ones(image.shape, bool), np.ones(after.shape, bool)
+        sizes = (1.0,) * axes
+        options: dict[str, Any] = {"spacing": sizes, "moving_spacing": sizes, "masks": masks}
+        found, times = timed(partial(align, "rigid", image, after, **options))
+        work += times.processor
+        refused += bool(found.notes)
+        if given.others:
+            worse += not np.array_equal(found.matrix, still)
+            continue
+        errors.append(_away(found.matrix, truth, image.shape))
+        worse += errors[-1] > _away(still, truth, image.shape)
+    return {
+        "name": given.name,
+        "axes": axes,
+        "pairs": len(given.numbers),
+        "found": None if given.others else sum(error < _FOUND for error in errors),
+        "median": float(np.median(errors)) if errors else None,
+        "refused": refused,
+        "worse": worse,
+        "s": work / len(given.numbers),
+    }
 
 
 # Figure 4c of the paper.
