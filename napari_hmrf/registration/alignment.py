@@ -204,7 +204,10 @@ def _best(
 ) -> Float64Array:
     """Return the best map by the sites that are not held out."""
     axes, block = fixed.pixels.ndim, _block(fixed)
-    coarse = max(fixed.extent.max() / _SEARCHED[axes], fixed.spacing.min())
+    longest = fixed.extent.max()
+    # The search in a moving image that is much larger must not take minutes.
+    longest = max(longest, math.sqrt(longest * moving.extent.max()))
+    coarse = max(longest / _SEARCHED[axes], fixed.spacing.min())
 
     def training(size: float, *, square: bool = False) -> tuple[_Picture, _Picture]:
         level = fixed.with_pixels(size, square=square)
@@ -223,7 +226,7 @@ def _best(
 
     def best(maps: list[Float64Array]) -> Float64Array:
         refined = [_refined(sitk, kind, *level, each, 0) for each in maps]
-        return max([*refined, *maps], key=lambda each: float(similar.trained(each).mean()))
+        return max([*refined, *maps], key=lambda each: float(similar.trained(each).sum()))
 
     found, other = best(straight), best(turned)
     # Symmetric tissue is nearly as similar after half a turn.
@@ -255,10 +258,10 @@ def _centred(fixed: _Picture, moving: _Picture) -> Float64Array:
     for each in (fixed, moving):
         counted = each.weights > 0.5
         bright = np.where(counted, each.pixels - each.pixels[counted].min(initial=np.inf), 0)
+        if not bright.any():  # the same brightness everywhere
+            return matrix
         centres.append(np.array(scipy.ndimage.center_of_mass(bright)) * each.spacing)
-    shift = centres[1] - centres[0]
-    if np.isfinite(shift).all():  # an image may have the same brightness everywhere
-        matrix[:-1, -1] = shift
+    matrix[:-1, -1] = centres[1] - centres[0]
     return matrix
 
 

@@ -77,6 +77,7 @@ def test_images_without_common_tissue_stay_where_they_are_with_a_note():
     assert any("were not aligned" in note for note in found.solution.notes)
     start = about_the_centre(before.shape, np.eye(2), (3.5, -1))
     np.testing.assert_array_equal(aligned("affine", before, after, start=start).matrix, start)
+    assert aligned("rigid", before, np.zeros_like(before)).notes
 
 
 def test_symmetric_tissue_is_not_turned_by_half_a_turn():
