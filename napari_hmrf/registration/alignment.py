@@ -28,12 +28,12 @@ BoolArray = npt.NDArray[np.bool_]
 _SEARCHED = {2: 64, 3: 24}
 #: Number of turned starts that are refined, and smallest angle between them in degrees.
 _STARTS, _APART = 4, 15.0
-#: Number of brightness classes of the mutual information, on the coarsest level and on others.
+#: Number of brightness classes of the mutual information, on coarser levels and on the finest.
 _CLASSES = 24, 32
-#: Last length of a step on the coarsest level and on others, in pixels of the level.
+#: Last length of a step on coarser levels and on the finest, in pixels of the level.
 _LAST_STEPS = 1e-2, 1e-3
 #: Largest number of sites that are compared, and seed of their choice.
-_SITES, _SEED = 2**15, 1
+_SITES, _SEED = 2**14, 1
 #: Largest number of steps on each level, and their first length, in pixels of the level.
 _ITERATIONS, _FIRST_STEP = 300, 0.5
 #: Factor by which the step is shortened where the direction reverses.
@@ -232,9 +232,10 @@ def _best(
     # Symmetric tissue is nearly as similar after half a turn.
     if _rises(similar.trained(found), similar.trained(other)):
         found = other
-    for size in _sizes(fixed, coarse):
-        found = _refined(sitk, kind, *training(size), found, 1)
-    return found
+    *between, finest = _sizes(fixed, coarse)
+    for size in between:
+        found = _refined(sitk, kind, *training(size), found, 0)
+    return _refined(sitk, kind, *training(finest), found, 1)
 
 
 def _sizes(fixed: _Picture, coarse: float) -> list[float]:
@@ -242,7 +243,7 @@ def _sizes(fixed: _Picture, coarse: float) -> list[float]:
     volume = float(fixed.extent.prod())
     finest = max(fixed.spacing.min(), (volume / _FINEST) ** (1 / fixed.pixels.ndim))
     sizes = []
-    while (coarse := coarse / _FINER) > finest * math.sqrt(_FINER):
+    while (coarse := coarse / _FINER) > 1.5 * finest:
         sizes.append(coarse)
     return [*sizes, finest]
 
@@ -278,7 +279,7 @@ def _refined(
     start : ndarray, shape (n + 1, n + 1)
         Map between positions.
     number : int
-        0 for the coarsest level, or else 1.
+        0 for coarser levels, 1 for the finest.
     """
     axes = fixed.pixels.ndim
     images: list[Any] = []
