@@ -598,6 +598,18 @@ def test_a_cancelled_solve_frees_memory_and_does_not_affect_the_next(
     assert left(made) <= kept[0]
 
 
+def test_one_free_pixel_moves_with_the_pixels_around_it(stage, monkeypatch):
+    monkeypatch.setattr(refinement, "_FEW", 0)  # so that cycles solve it
+    y = np.random.default_rng(0).normal(size=(64, 64, 2)).astype(np.float32)
+    c = np.ones_like(y)
+    c[30, 31] = 0
+    problem = Problem(observed=y, confidence=c, stiffness=np.ones((64, 64)))
+    loops, shaders = (
+        solve(problem, ElasticPrior(), backend=each) for each in ("cpu", f"opengl:{stage}")
+    )
+    assert np.abs(loops.displacement - shaders.displacement).max() < 2e-3
+
+
 @pytest.mark.parametrize(("prior", "ratio"), [(ElasticPrior(), 4.0), (CENTRED, 20.0)])
 def test_splitting_a_pass_into_strips_does_not_change_the_result(stage, monkeypatch, prior, ratio):
     from napari_hmrf.solver.backends.opengl import backend

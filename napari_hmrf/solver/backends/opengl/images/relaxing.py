@@ -249,6 +249,7 @@ class RelaxingLevel(GLLevel):
         if key not in self._matrices:
             rows, cols = self._pairs
             at = np.flatnonzero((stored_planes(self._host.inverse) > 0).any(axis=2))
+            at = at if len(at) else np.zeros(1, np.int64)  # no texture is empty
             number = np.full((rows * cols, 1), -1, np.float32)
             number[at, 0] = np.arange(len(at))
             places = np.stack([at % cols, at // cols], axis=1).astype(np.float32)[None]
