@@ -23,16 +23,20 @@ deviation, and the strain scale of the tissue::
 If no other motion is known, `spline` interpolates landmarks smoothly inside the tissue::
 
     displacement = spline(landmarks, stiffness > 0, spacing=1)
+
+`fit_spline` also returns the standard deviation of this displacement.
 """
 
 from napari_hmrf.io.landmark_files import LandmarkFile, read_points, write_points
-from napari_hmrf.registration.landmark_spline import spline
+from napari_hmrf.registration.landmark_spline import Spline, fit_spline, spline
 from napari_hmrf.solver.uncertain_landmarks import Landmarks, StrainScale
 
 __all__ = [
     "LandmarkFile",
     "Landmarks",
+    "Spline",
     "StrainScale",
+    "fit_spline",
     "read_points",
     "spline",
     "write_points",

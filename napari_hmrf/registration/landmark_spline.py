@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -24,18 +25,86 @@ _ELEMENTS = 1200
 #: Lengths tau of the third derivatives, as fractions of the extent of tissue.
 _LENGTHS = (0.0, 0.06, 0.125)
 #: Smoothing parameters, relative to the median eigenvalue of the kernel.
-_SMOOTHING = np.logspace(-7, 3, 31)
+_SMOOTHING = np.logspace(-7, 3, 61)
 #: Stiffness of the spring of each site, times the fourth power of the extent of tissue. Separate
-#: pieces of tissue may differ by an affine motion, because the spring is weak.
-_SPRING = 3e-3
+#: pieces of tissue may differ by an affine motion, because the springs are weak. The first is that
+#: of a single piece, whose affine motion is free anyway.
+_SPRINGS = (3e-3, 3e-2, 0.3, 3.0)
+#: Number of nodes whose covariance is computed at once.
+_AT_ONCE = 512
 #: Smallest extent of the landmarks along any direction, relative to the largest one.
 _THINNEST = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Spline:
+    """Smoothing spline of landmarks, with its uncertainty.
+
+    Attributes
+    ----------
+    displacement : ndarray of float32, shape (H, W, 2) or (D, H, W, 3)
+        Displacement in the unit of the spacing, with components in the order of the axes; 0 in
+        void. A separate piece of tissue without landmarks has the affine motion of all landmarks.
+    noise : ndarray, shape (N, 2) or (N, 3)
+        Estimated standard deviation of each landmark, in the unit of the spacing. Only their ratios
+        are given.
+    """
+
+    displacement: npt.NDArray[np.float32]
+    noise: Float64Array
+    _field_of: Callable[[Float64Array], npt.NDArray[np.float32]]
+    _fit: _Fit
+
+    @cached_property
+    def sd(self) -> npt.NDArray[np.float32]:
+        """Standard deviation of each component of `displacement`; 0 in void.
+
+        It is that of the posterior, given the scale, the smoothness and the noise of the motion,
+        which are estimated. It does not contain the noise of a landmark.
+        """
+        return self._field_of(self._fit.sd())
 
 
 def spline(
     landmarks: Landmarks, tissue: npt.ArrayLike, *, spacing: float | Sequence[float]
 ) -> npt.NDArray[np.float32]:
     """Return the displacement field of a smoothing spline of landmarks inside tissue.
+
+    Use this function if only landmarks are known. It does not depend on the stiffness of tissue.
+    `solve` is better if boundary conditions or different stiffness determine the motion.
+
+    Parameters
+    ----------
+    landmarks, tissue, spacing
+        As in `fit_spline`, which also returns the uncertainty of the field.
+
+    Returns
+    -------
+    ndarray of float32, shape (H, W, 2) or (D, H, W, 3)
+        As `Spline.displacement`.
+
+    Raises
+    ------
+    ProblemError
+        As `fit_spline`.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from napari_hmrf.landmarks import Landmarks, spline
+    >>> points = np.array([(4, 5), (4, 25), (25, 5), (24, 26), (14, 15)])
+    >>> targets = 1.1 * points
+    >>> field = spline(Landmarks(points, targets, sd=0.5), np.ones((30, 30)), spacing=1)
+    >>> np.round(field[20, 10], 3).tolist()
+    [2.0, 1.0]
+    """
+    return fit_spline(landmarks, tissue, spacing=spacing).displacement
+
+
+def fit_spline(
+    landmarks: Landmarks, tissue: npt.ArrayLike, *, spacing: float | Sequence[float]
+) -> Spline:
+    """Fit a smoothing spline to landmarks inside tissue.
 
     Each component u of the displacement is the sum of a free affine motion and a smooth part, and
     minimises::
@@ -45,12 +114,13 @@ def spline(
     where y_i are the observed displacements, D^2 u and D^3 u contain all second and third
     derivatives, and the integrals extend over the tissue. The derivatives are differences on a
     coarse grid of cubes. A void slit between two parts of tissue separates them, even if it is
-    narrower than a cube. The length tau is 0, 0.06 or 0.125 times the longest side of the tissue.
-    Leave-one-out cross-validation selects tau and the smoothing lambda, so that only ratios of the
-    standard deviations have an effect.
+    narrower than a cube; weak springs keep their motions similar. The length tau is 0, 0.06 or
+    0.125 times the longest side of the tissue.
 
-    Use this function if only landmarks are known. It does not depend on the stiffness of tissue.
-    `solve` is better if boundary conditions or different stiffness determine the motion.
+    The smooth part is a Gaussian process whose covariance is the inverse of the energy above
+    (Wahba, 1978). The restricted likelihood, which does not depend on the affine motion, selects
+    lambda, tau, the springs and the scale, so that only ratios of the standard deviations have an
+    effect.
 
     Parameters
     ----------
@@ -64,24 +134,12 @@ def spline(
 
     Returns
     -------
-    ndarray of float32, shape (H, W, 2) or (D, H, W, 3)
-        Displacement in the unit of `spacing`, with components in the order of the axes; 0 in void.
-        A separate piece of tissue without landmarks has the affine motion of all landmarks.
+    Spline
 
     Raises
     ------
     ProblemError
         If there are too few landmarks, a landmark is outside the tissue, or an input is invalid.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from napari_hmrf.landmarks import Landmarks, spline
-    >>> points = np.array([(4, 5), (4, 25), (25, 5), (24, 26), (14, 15)])
-    >>> targets = 1.1 * points
-    >>> field = spline(Landmarks(points, targets, sd=0.5), np.ones((30, 30)), spacing=1)
-    >>> np.round(field[20, 10], 3).tolist()
-    [2.0, 1.0]
     """
     mask = _checked_mask(tissue)
     pixel = checked_spacing(spacing, mask.ndim)
@@ -89,15 +147,20 @@ def spline(
     grid = _CoarseGrid.of_tissue(mask, pixel)
     points = landmarks.points * pixel
     nodes, weights = grid.interpolation(grid.copies[tuple(sites.T)] - 1, points)
-    coarse = _fit(grid, _matrix(nodes, weights, grid.count), points, landmarks, pixel)
-    field = np.zeros((*mask.shape, mask.ndim), np.float32)
-    for plane in range(mask.shape[0]):
-        inside = np.argwhere(mask[plane : plane + 1])
-        inside[:, 0] = plane
-        copies = grid.copies[tuple(inside.T)] - 1
-        nodes, weights = grid.interpolation(copies, inside * pixel)
-        field[tuple(inside.T)] = np.einsum("ij,ijk->ik", weights, coarse[nodes])
-    return field
+    fit = _best_fit(grid, _matrix(nodes, weights, grid.count), points, landmarks, pixel)
+
+    def field_of(values: Float64Array) -> npt.NDArray[np.float32]:
+        """Interpolate values of the nodes, shape (number of nodes, axes), at all sites."""
+        field = np.zeros((*mask.shape, mask.ndim), np.float32)
+        for plane in range(mask.shape[0]):
+            inside = np.argwhere(mask[plane : plane + 1])
+            inside[:, 0] = plane
+            copies = grid.copies[tuple(inside.T)] - 1
+            nodes, weights = grid.interpolation(copies, inside * pixel)
+            field[tuple(inside.T)] = np.einsum("ij,ijk->ik", weights, values[nodes])
+        return field
+
+    return Spline(field_of(fit.displacement()), fit.noise, field_of, fit)
 
 
 def _checked_mask(tissue: npt.ArrayLike) -> npt.NDArray[np.bool_]:
@@ -224,6 +287,13 @@ class _CoarseGrid:
         """Number of nodes."""
         return int(self.corners.max()) + 1
 
+    def pieces(self) -> int:
+        """Return the number of pieces of tissue that share no node."""
+        flat = self.corners.reshape(len(self.corners), -1)
+        links = np.repeat(flat[:, 0], flat.shape[1]), flat.ravel()
+        graph = scipy.sparse.coo_matrix((np.ones(flat.size), links), shape=(self.count,) * 2)
+        return int(scipy.sparse.csgraph.connected_components(graph, directed=False)[0])
+
     def positions(self) -> Float64Array:
         """Return the positions of the nodes, shape (number of nodes, axes)."""
         axes = self.low.shape[1]
@@ -309,66 +379,176 @@ def _matrix(nodes: Indices, weights: Float64Array, count: int) -> Any:
     )
 
 
-def _fit(
+def _best_fit(
     grid: _CoarseGrid,
     interpolate: Any,
     points: Float64Array,
     landmarks: Landmarks,
     pixel: tuple[float, ...],
-) -> Float64Array:
-    """Return the displacement of the nodes, shape (number of nodes, axes)."""
+) -> _Fit:
+    """Return the fit with the largest restricted likelihood."""
     y, extent, mass = landmarks.displacement(pixel), grid.extent, grid.volumes()
-    relative = landmarks.sd / np.exp(np.log(landmarks.sd).mean())
-    sds, kinds = np.unique(relative, axis=1, return_inverse=True)
-    groups = [(sd, np.flatnonzero(kinds.ravel() == kind)) for kind, sd in enumerate(sds.T)]
-
+    sd = landmarks.sd / np.exp(np.log(landmarks.sd).mean())
     affine = np.column_stack([np.ones(grid.count), grid.positions() - points.mean(axis=0)])
     affine[:, 1:] /= extent
-    drift = interpolate @ affine
-    weighted = mass[:, None] * affine
-    loads = interpolate.T.toarray()
-    loads -= weighted @ np.linalg.solve(affine.T @ weighted, affine.T @ loads)
-
     second, third = grid.roughness(2), grid.roughness(3)
-    spring = scipy.sparse.diags(_SPRING / extent**4 * mass)
-    best = math.inf
-    for length in _LENGTHS:
-        energy = (second + (length * extent) ** 2 * third + spring).tocsc()
+    springs = _SPRINGS if grid.pieces() > 1 else _SPRINGS[:1]
+    best = None
+    for length, spring in itertools.product(_LENGTHS, springs):
+        energy = second + (length * extent) ** 2 * third
+        energy = energy + scipy.sparse.diags(spring / extent**4 * mass)
         factors = scipy.sparse.linalg.splu(
-            energy,
+            energy.tocsc(),
             permc_spec="MMD_AT_PLUS_A",
             diag_pivot_thresh=0.0,
             options={"SymmetricMode": True},
         )
-        responses = factors.solve(loads)
-        kernel = interpolate @ responses
-        fits = [_Fit.of(kernel, drift, y[:, axes], sd) for sd, axes in groups]
-        scores = np.sum([fit.scores() for fit in fits], axis=0)
-        if scores.min() < best:
-            best, smoothing = scores.min(), int(scores.argmin())
-            field = np.zeros((grid.count, y.shape[1]))
-            for fit, (_, axes) in zip(fits, groups, strict=True):
-                forces, motion = fit.solution(smoothing)
-                field[:, axes] = responses @ forces + affine @ motion
-    return field
+        fit = _Fit.of(factors, interpolate, affine, mass, y, sd)
+        if best is None or fit.likelihood > best.likelihood:
+            best = fit
+    assert best is not None
+    return best
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class _Fit:
-    """Smoothing of components with equal standard deviations, for every smoothing parameter.
+    """Gaussian process with one covariance of the nodes, given the landmarks.
+
+    Parameters
+    ----------
+    factors : SuperLU
+        Factors of the matrix of the energy of the nodes, whose inverse is the covariance.
+    responses : ndarray, shape (number of nodes, N)
+        Covariance of the nodes and the landmarks, without affine motions.
+    affine : ndarray, shape (number of nodes, axes + 1)
+        Affine motions of the nodes.
+    interpolate : sparse matrix, shape (N, number of nodes)
+    groups : list of _Group
+        Components of equal standard deviations.
+    damping : float
+        Variance of the noise of a landmark of relative standard deviation 1, relative to the scale
+        of the covariance.
+    scale : float
+        Scale of the covariance.
+    likelihood : float
+        Logarithm of the restricted likelihood, apart from a constant.
+    """
+
+    factors: Any
+    responses: Float64Array
+    affine: Float64Array
+    interpolate: Any
+    groups: list[_Group]
+    damping: float
+    scale: float
+    likelihood: float
+
+    @classmethod
+    def of(
+        cls,
+        factors: Any,
+        interpolate: Any,
+        affine: Float64Array,
+        mass: Float64Array,
+        y: Float64Array,
+        sd: Float64Array,
+    ) -> _Fit:
+        """Return the fit with the best damping and scale for a covariance."""
+        loads = interpolate.T.toarray()
+        weighted = mass[:, None] * affine
+        loads -= weighted @ np.linalg.solve(affine.T @ weighted, affine.T @ loads)
+        responses = factors.solve(loads)
+        kernel, drift = interpolate @ responses, interpolate @ affine
+        sds, kinds = np.unique(sd, axis=1, return_inverse=True)
+        groups = [
+            _Group.of(kernel, drift, y, own, np.flatnonzero(kinds.ravel() == kind))
+            for kind, own in enumerate(sds.T)
+        ]
+        dampings = _SMOOTHING * np.median(np.concatenate([group.values for group in groups]))
+        found = [_likelihood(groups, damping) for damping in dampings]
+        number = max(range(len(found)), key=lambda each: found[each][0])
+        likelihood, scale = found[number]
+        return cls(
+            factors, responses, affine, interpolate, groups, dampings[number], scale, likelihood
+        )
+
+    @property
+    def noise(self) -> Float64Array:
+        """Standard deviation of each landmark, shape (N, axes)."""
+        made = np.zeros((self.interpolate.shape[0], sum(len(each.axes) for each in self.groups)))
+        for group in self.groups:
+            made[:, group.axes] = math.sqrt(self.scale * self.damping) * group.sd[:, None]
+        return made
+
+    def displacement(self) -> Float64Array:
+        """Return the displacement of the nodes, shape (number of nodes, axes)."""
+        field = np.zeros((len(self.affine), sum(len(each.axes) for each in self.groups)))
+        for group in self.groups:
+            forces, motion = group.solution(self.damping)
+            field[:, group.axes] = self.responses @ forces + self.affine @ motion
+        return field
+
+    def sd(self) -> Float64Array:
+        """Return the standard deviation of the nodes, shape (number of nodes, axes).
+
+        The variance is that of universal kriging: of the process given the landmarks, and of the
+        affine motion.
+        """
+        count = len(self.affine)
+        prior, between = np.empty(count), np.empty((self.interpolate.shape[0], count))
+        for begin in range(0, count, _AT_ONCE):
+            part = slice(begin, min(begin + _AT_ONCE, count))
+            unit = np.zeros((count, part.stop - begin))
+            unit[np.arange(begin, part.stop), np.arange(part.stop - begin)] = 1
+            columns = self.factors.solve(unit)
+            prior[part] = columns[part].diagonal()
+            between[:, part] = self.interpolate @ columns
+        kernel, drift = between @ self.interpolate.T, self.interpolate @ self.affine
+        made = np.zeros((count, sum(len(each.axes) for each in self.groups)))
+        for group in self.groups:
+            noisy = kernel + np.diag(self.damping * group.sd**2)
+            factor = scipy.linalg.cho_factor((noisy + noisy.T) / 2)
+            known = scipy.linalg.cho_solve(factor, np.column_stack([between, drift]))
+            left, of_drift = known[:, :count], known[:, count:]
+            rest = self.affine.T - drift.T @ left
+            variance = prior - np.einsum("ij,ij->j", between, left)
+            variance += np.einsum("ij,ij->j", rest, np.linalg.solve(drift.T @ of_drift, rest))
+            made[:, group.axes] = np.sqrt(self.scale * np.maximum(variance, 0))[:, None]
+        return made
+
+
+def _likelihood(groups: Sequence[_Group], damping: float) -> tuple[float, float]:
+    """Return the logarithm of the restricted likelihood at its best scale, and this scale."""
+    squares = determinant = 0.0
+    count = 0
+    for group in groups:
+        variance = group.values + damping
+        squares += float((group.parts**2 / variance[:, None]).sum())
+        determinant += len(group.axes) * float(np.log(variance).sum())
+        count += group.parts.size
+    scale = max(squares / count, np.finfo(float).tiny)
+    return -0.5 * (count * math.log(scale) + determinant), scale
+
+
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """Components with equal standard deviations, at the landmarks.
 
     Rows of the kernel, the drift and the data are divided by the standard deviations.
 
     Parameters
     ----------
-    kernel : ndarray, shape (n, n)
-    drift : ndarray, shape (n, axes + 1)
+    kernel : ndarray, shape (N, N)
+    drift : ndarray, shape (N, axes + 1)
         Values of the affine motions at the landmarks.
-    y : ndarray, shape (n, components)
-    sd : ndarray, shape (n,)
-    modes : ndarray, shape (n, n - axes - 1)
+    y : ndarray, shape (N, components)
+    sd : ndarray, shape (N,)
+        Relative standard deviations.
+    axes : ndarray of int
+        Numbers of the components.
+    modes : ndarray, shape (N, N - axes - 1)
         Eigenvectors of the kernel, orthogonal to the drift.
-    values : ndarray, shape (n - axes - 1,)
+    values : ndarray, shape (N - axes - 1,)
         Eigenvalues of the kernel.
     """
 
@@ -376,40 +556,35 @@ class _Fit:
     drift: Float64Array
     y: Float64Array
     sd: Float64Array
+    axes: Indices
     modes: Float64Array
     values: Float64Array
 
     @classmethod
     def of(
-        cls, kernel: Float64Array, drift: Float64Array, y: Float64Array, sd: Float64Array
-    ) -> _Fit:
-        """Return the fit of data with the given standard deviations."""
+        cls,
+        kernel: Float64Array,
+        drift: Float64Array,
+        y: Float64Array,
+        sd: Float64Array,
+        axes: Indices,
+    ) -> _Group:
+        """Return the group of the given components."""
         white = (kernel + kernel.T) / 2 / np.outer(sd, sd)
         shifts = drift / sd[:, None]
         free = np.linalg.qr(shifts, mode="complete")[0][:, shifts.shape[1] :]
         values, vectors = np.linalg.eigh(free.T @ white @ free)
         values = np.maximum(values, 1e-12 * values.max())
-        return cls(white, shifts, y / sd[:, None], sd, free @ vectors, values)
+        return cls(white, shifts, y[:, axes] / sd[:, None], sd, axes, free @ vectors, values)
 
-    def scores(self) -> Float64Array:
-        """Return the sum of squared leave-one-out errors for each smoothing parameter."""
-        sums = []
-        for damping in self._dampings():
-            shrunk = self.modes / (self.values + damping)
-            lone = np.einsum("ij,ij->i", shrunk, self.modes)
-            # Without such a landmark, the affine motion is unknown.
-            known = lone > 1e-9 * lone.max()
-            errors = (shrunk @ (self.modes.T @ self.y))[known] / lone[known, None]
-            sums.append(float((errors**2).sum()))
-        return np.array(sums)
+    @cached_property
+    def parts(self) -> Float64Array:
+        """Data along each eigenvector, shape (N - axes - 1, components)."""
+        return self.modes.T @ self.y
 
-    def solution(self, smoothing: int) -> tuple[Float64Array, Float64Array]:
+    def solution(self, damping: float) -> tuple[Float64Array, Float64Array]:
         """Return the forces at the landmarks, and the affine motion."""
-        damping = self._dampings()[smoothing]
-        forces = self.modes / (self.values + damping) @ (self.modes.T @ self.y)
+        forces = self.modes / (self.values + damping) @ self.parts
         rest = self.y - self.kernel @ forces - damping * forces
         motion = np.linalg.lstsq(self.drift, rest, rcond=None)[0]
-        return forces / self.sd[:, None], motion
-
-    def _dampings(self) -> Float64Array:
-        return np.asarray(_SMOOTHING * np.median(self.values))
+        return forces / self.sd[:, None], np.asarray(motion, np.float64)

@@ -5,7 +5,7 @@ import pytest
 from scipy.interpolate import RBFInterpolator
 
 from napari_hmrf.errors import ProblemError
-from napari_hmrf.landmarks import Landmarks, spline
+from napari_hmrf.landmarks import Landmarks, fit_spline, spline
 
 FULL = np.ones((40, 50), bool)
 
@@ -145,3 +145,68 @@ def test_void_and_impossible_tissue_are_refused():
         spline(marks, FULL, spacing=(1, 0))
     with pytest.raises(ProblemError, match="landmarks: are of type list"):
         spline([points], FULL, spacing=1)
+
+
+def _random_motion(rng):
+    """Return a smooth random motion of pixels, with a standard deviation of 3 pixels."""
+    frequency = rng.normal(size=(200, 2)) / 12
+    phase, size = rng.uniform(0, 2 * np.pi, (2, 200)), rng.normal(size=(2, 200)) * 0.3
+
+    def motion(x):
+        waves = [np.cos(x @ frequency.T + phase[axis]) @ size[axis] for axis in range(2)]
+        return np.stack(waves, axis=1)
+
+    return motion
+
+
+def test_the_standard_deviation_covers_the_errors_at_its_rate():
+    ratios = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        motion, points = _random_motion(rng), _points(60, FULL, seed)
+        shifts = motion(points) + 0.2 * rng.normal(size=points.shape)
+        fit = fit_spline(Landmarks(points, points + shifts, sd=1), FULL, spacing=1)
+        assert 0.1 < fit.noise.mean() < 0.4, "the noise is estimated"
+        places = _places(FULL)
+        ratios.append(np.abs(fit.displacement[FULL] - motion(places)) / fit.sd[FULL])
+    assert 0.55 < np.mean(np.array(ratios) < 1) < 0.85
+    assert 0.87 < np.mean(np.array(ratios) < 1.96) < 0.995
+
+
+def test_the_standard_deviation_has_the_unit_of_the_motion_and_grows_away_from_landmarks():
+    rng = np.random.default_rng(0)
+    points = _points(40, FULL[:, :25])
+    shifts = _random_motion(rng)(points) + 0.2 * rng.normal(size=points.shape)
+    fit, twice = (
+        fit_spline(Landmarks(points, points + scale * shifts, sd=1), FULL, spacing=1)
+        for scale in (1, 2)
+    )
+    np.testing.assert_allclose(twice.sd, 2 * fit.sd, rtol=1e-4)
+    np.testing.assert_allclose(twice.noise, 2 * fit.noise, rtol=1e-4)
+    assert fit.sd[:, 48].min() > 2 * fit.sd[:, :24].max()
+
+
+def test_a_piece_of_tissue_without_landmarks_is_uncertain():
+    tissue = FULL.copy()
+    tissue[:, 24:26] = False
+    points = _points(40, np.where(np.arange(50) < 24, tissue, False))
+    shifts = _random_motion(np.random.default_rng(1))(points)
+    fit = fit_spline(Landmarks(points, points + shifts, sd=1), tissue, spacing=1)
+    assert fit.sd[:, 27].min() > fit.sd[:, :24].max()
+    assert not fit.sd[~tissue].any()
+
+
+def test_the_standard_deviation_is_that_of_universal_kriging():
+    tissue, rng = np.ones((8, 8), bool), np.random.default_rng(2)
+    points = _points(12, tissue)
+    marks = Landmarks(points, points + rng.normal(size=points.shape), sd=1)
+    fit = fit_spline(marks, tissue, spacing=1)._fit
+    count = len(fit.affine)
+    covariance = fit.factors.solve(np.eye(count))
+    # A wide prior of the affine motion, and the posterior by the inverse of all precisions.
+    wide = covariance + 1e6 * fit.affine @ fit.affine.T
+    seen = fit.interpolate.toarray()
+    noisy = seen @ wide @ seen.T + fit.damping * np.eye(len(points))
+    after = wide - wide @ seen.T @ np.linalg.solve(noisy, seen @ wide)
+    expected = np.sqrt(fit.scale * np.diag(after))
+    np.testing.assert_allclose(fit.sd()[:, 0], expected, rtol=0.02)

@@ -33,7 +33,7 @@ from benchmarks.clock import timed
 from napari_hmrf import ElasticPrior, Multigrid, Problem, Solution, solve, warp
 from napari_hmrf.field.inverse_field import inverse_displacement
 from napari_hmrf.field.moved_points import moved_points
-from napari_hmrf.landmarks import Landmarks, StrainScale, spline
+from napari_hmrf.landmarks import Landmarks, StrainScale, fit_spline, spline
 from napari_hmrf.tissue import edge_confidence
 from validation.studies.registration import as_itk, displacement_of
 from validation.study import Options, Results, Table, study
@@ -223,6 +223,53 @@ def interpolation(field: Field) -> tuple[Any, dict[str, tuple[float, float]]]:
         moved, times = timed(run)
         found[name] = (float(np.linalg.norm(moved - field.truth, axis=1).mean()), times.wall)
     return field.kind, found
+
+
+# Intervals of the spline.
+
+#: Number of further landmarks for each field, which the spline does not know.
+_HELD_OUT = 400
+#: Standard deviations of the intervals, and their nominal coverages.
+_INTERVALS = {1.0: "68 %", 1.96: "95 %"}
+
+
+def _interval_rows(results: Results) -> Iterator[list[Any]]:
+    for kind in dict.fromkeys(own for own, _, _ in results.values()):
+        rows = [row for row in results.values() if row[0] == kind]
+        yield [*kind, *_interval_cells(rows)]
+    yield ["all", "", "", *_interval_cells(list(results.values()))]
+
+
+def _interval_cells(rows: list[Any]) -> Iterator[Any]:
+    yield sum(len(ratios) for _, ratios, _ in rows)
+    whole = np.concatenate([np.ravel(ratios) for _, ratios, _ in rows])
+    for size in _INTERVALS:
+        yield f"{np.mean(whole <= size):.1%}"
+    yield f"{np.mean([width for *_, width in rows]):.2f}"
+
+
+@study(
+    "landmarks.intervals",
+    random_fields,
+    ("", "landmarks", "affine", "held out", *_INTERVALS.values(), "half width of 95 % (px)"),
+    rows=_interval_rows,
+    page="landmarks.md",
+)
+def covered(field: Field) -> tuple[Any, Array, float]:
+    """Compare the errors of a spline at landmarks that it does not know with its intervals.
+
+    The error of a component is relative to its standard deviation, which contains the estimated
+    noise of the held-out landmark.
+    """
+    fit = fit_spline(
+        Landmarks(field.points, field.points + field.shifts, sd=_SD), field.tissue, spacing=1
+    )
+    rng = np.random.default_rng(len(field.points))
+    some = rng.permutation(len(field.places))[:_HELD_OUT]
+    at = tuple(field.places[some].astype(int).T)
+    shifts = field.truth[some] + _SD * rng.standard_normal((len(some), field.truth.shape[1]))
+    sd = np.hypot(fit.sd[at], fit.noise[0])
+    return field.kind, np.abs(fit.displacement[at] - shifts) / sd, float(1.96 * sd.mean())
 
 
 # Sections of real tissue.
