@@ -210,3 +210,15 @@ def test_the_standard_deviation_is_that_of_universal_kriging():
     after = wide - wide @ seen.T @ np.linalg.solve(noisy, seen @ wide)
     expected = np.sqrt(fit.scale * np.diag(after))
     np.testing.assert_allclose(fit.sd()[:, 0], expected, rtol=0.02)
+
+
+@pytest.mark.parametrize("count", [4, 6, 30])
+def test_exact_landmarks_and_few_landmarks_are_met(count):
+    points = _points(count, FULL)
+    shifts = _random_motion(np.random.default_rng(3))(points)
+    fit = fit_spline(Landmarks(points, points + shifts, sd=1e-4), FULL, spacing=1)
+    assert np.isfinite(fit.displacement).all()
+    assert np.isfinite(fit.sd).all()
+    if count == 30:
+        near = np.rint(points).astype(int)
+        assert np.abs(fit.displacement[tuple(near.T)] - shifts).max() < 1
