@@ -20,6 +20,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
@@ -27,20 +28,27 @@ import numpy.typing as npt
 
 from napari_hmrf.arguments import is_whole, refuse_unless, require_flag
 from napari_hmrf.checks import POISSON_RANGE
-from napari_hmrf.errors import Cancelled, ConvergenceError, ProblemError
+from napari_hmrf.errors import ConvergenceError, ProblemError
 from napari_hmrf.posterior.field_data import FieldData
 from napari_hmrf.posterior.pair_data import ImagePairData
 from napari_hmrf.posterior.sampling import checked_prior
 from napari_hmrf.posterior.uncertainty import checked_labels
 from napari_hmrf.real_arrays import as_numbers
-from napari_hmrf.registration.matching import Images, schedule
+from napari_hmrf.registration.image_data import Images
+from napari_hmrf.registration.matching import schedule
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.operator import Operator
 from napari_hmrf.solver.optimizers import Monitor, Multigrid
 from napari_hmrf.solver.priors import Elastic, ElasticPrior, NeoHookeanPrior, Prior
 from napari_hmrf.solver.problem import Problem, variant_of
 from napari_hmrf.solver.solution import Solution
-from napari_hmrf.solver.solve import CancelFlag, Progress, check_arguments, solve
+from napari_hmrf.solver.solve import (
+    CancelFlag,
+    Progress,
+    check_arguments,
+    solve,
+    stop_if_cancelled,
+)
 from napari_hmrf.solver.uncertain_landmarks import Landmarks
 
 Float64Array = npt.NDArray[np.float64]
@@ -292,11 +300,7 @@ def _pair_levels(
     pair: Images, problem: Problem, sizes: Sequence[int], cancel: CancelFlag | None
 ) -> list[ImagePairData]:
     """Return the differences of two images on each level, from large to small pixels."""
-
-    def checkpoint() -> None:
-        if cancel is not None and cancel.is_set():
-            raise Cancelled
-
+    checkpoint = partial(stop_if_cancelled, cancel)
     return [ImagePairData(pair, problem, size, checkpoint) for size in sizes]
 
 

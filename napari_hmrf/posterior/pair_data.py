@@ -20,12 +20,12 @@ from napari_hmrf.registration.image_data import (
     Checkpoint,
     FloatArray,
     ImageLevel,
+    Images,
     moved_places,
     normalized,
-    reduced,
+    reduced_pair,
     smoothed,
 )
-from napari_hmrf.registration.matching import Images
 from napari_hmrf.solver.problem import Problem
 
 Float64Array = npt.NDArray[np.float64]
@@ -62,11 +62,8 @@ class ImagePairData:
         self._spacing = np.multiply(size, problem.spacing)
         self._tolerance, self._checkpoint = _TOLERANCE * size, checkpoint
         # On the finest level, linear interpolation would blur the moving image, but not the fixed.
-        self._order, width = (3, 0.0) if size == 1 else (1, size / 2)
-        fixed, moving = (
-            reduced(image, counted, size, width, checkpoint)
-            for image, counted in zip((images.fixed, images.moving), images.counted, strict=True)
-        )
+        self._order = 3 if size == 1 else 1
+        fixed, moving = reduced_pair(images, size, checkpoint)
         self._fixed, self._counted = self._normalized(*fixed)
         self._counted *= problem.tissue[self._every]
         sums, self._share = moving
@@ -143,8 +140,8 @@ class ImagePairData:
 
         The similarity is that which a registration reports.
         """
-        pair = self._images.fixed, self._images.moving, self._images.counted
-        level = ImageLevel(*pair, 1, self._pixel, self._checkpoint)
+        whole = reduced_pair(self._images, 1, self._checkpoint)
+        level = ImageLevel(whole, self._pixel, self._checkpoint)
         before, after = (level.agreement(each)[1] for each in (0 * displacement, displacement))
         return before, after
 

@@ -75,6 +75,34 @@ _BEYOND_RANGE = 0.01
 _TINY = 1e-12
 
 
+class Images(NamedTuple):
+    """Two images on the grid of a problem, with masks of the pixels that count."""
+
+    fixed: FloatArray
+    moving: FloatArray
+    counted: tuple[BoolArray, BoolArray]
+
+
+class Reduced(NamedTuple):
+    """Image with larger pixels, in units of its brightness range.
+
+    Attributes
+    ----------
+    sums : ndarray, float32
+        Mean brightness of the pixels that count in each larger pixel, times their share of it.
+    share : ndarray, float32
+        Share of the pixels that count.
+    """
+
+    sums: FloatArray
+    share: FloatArray
+
+    @property
+    def brightness(self) -> FloatArray:
+        """Mean brightness of the pixels that count; 0 where none counts."""
+        return np.asarray(self.sums / np.maximum(self.share, _TINY), np.float32)
+
+
 class LinearImages(NamedTuple):
     """Images as a data term, linear around a displacement.
 
@@ -104,14 +132,10 @@ class ImageLevel:
 
     Parameters
     ----------
-    fixed, moving : ndarray, shape (H, W) or (D, H, W)
-        Images on the finest grid.
-    counted : tuple of ndarray of bool
-        Masks of the pixels of `fixed` and `moving` that count.
-    step : int
-        Size of a pixel of the level, in pixels of the images.
+    images : tuple of Reduced
+        Both images on the level (`reduced_pair`).
     spacing : tuple of float
-        Size of a pixel of the images along each axis.
+        Size of a pixel of the level along each axis.
     checkpoint : callable
         Called between the steps; it may raise an error to cancel the computation.
     relation : Relation
@@ -119,28 +143,19 @@ class ImageLevel:
 
     def __init__(
         self,
-        fixed: FloatArray,
-        moving: FloatArray,
-        counted: tuple[BoolArray, BoolArray],
-        step: int,
+        images: tuple[Reduced, Reduced],
         spacing: tuple[float, ...],
         checkpoint: Checkpoint,
         relation: Relation = "same",
     ) -> None:
-        self.spacing = tuple(step * size for size in spacing)
-        self._checkpoint, self.relation = checkpoint, relation
-        width = step / 2 if step > 1 else 0.0
-        parts = [
-            reduced(image, mask, step, width, checkpoint)
-            for image, mask in zip((fixed, moving), counted, strict=True)
-        ]
+        self.spacing, self._checkpoint, self.relation = spacing, checkpoint, relation
         (self._fixed, self._counted), (self._moving, self._known) = (
-            normalized(*part, checkpoint) for part in parts
+            normalized(*image, checkpoint) for image in images
         )
         if relation == "inverse":
             self._fixed = -self._fixed
-        # Brightness of both images with its weights, for `expect`.
-        self._parts = parts if is_function(relation) else []
+        # Images whose brightness `expect` needs.
+        self._related = images if is_function(relation) else None
         self._slopes = self._gradient(self._fixed)
 
     @property
@@ -154,31 +169,31 @@ class ImageLevel:
         The expected brightness is the mean over all pixels of the same brightness, at a
         displacement.
         """
-        if not self._parts:
+        if self._related is None:
             return
-        _, known = self.warped(displacement)
-        fixed, moving = (
-            np.asarray(sums / np.maximum(share, _TINY), np.float32) for sums, share in self._parts
-        )
-        places = moved_places(displacement, self.spacing)
-        warped = sampled_linearly(moving, places, self._checkpoint)
+        one, other = self._related
+        fixed, moving = one.brightness, other.brightness
+        warped, known = self._warped(moving, displacement)
         both = known > 0.999
-        (_, share), (_, share_of_moving) = self._parts
         if self.relation == "from fixed":
             expected = expected_brightness(fixed, fixed[both], warped[both])
-            self._fixed, _ = normalized(expected * share, share, self._checkpoint)
+            self._fixed, _ = normalized(expected * one.share, one.share, self._checkpoint)
             self._slopes = self._gradient(self._fixed)
         else:
-            share = share_of_moving
             expected = expected_brightness(moving, warped[both], fixed[both])
-            self._moving, _ = normalized(expected * share, share, self._checkpoint)
+            self._moving, _ = normalized(expected * other.share, other.share, self._checkpoint)
 
     def warped(self, displacement: npt.NDArray[np.floating]) -> tuple[FloatArray, FloatArray]:
         """Return M(X + d(X)), and the fraction of each pixel that counts in both images."""
+        return self._warped(self._moving, displacement)
+
+    def _warped(
+        self, moving: FloatArray, displacement: npt.NDArray[np.floating]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the same for any image on the grid of the moving image."""
         places = moved_places(displacement, self.spacing)
-        images = self._moving, self._known
         warped, known = _parallel(
-            lambda image: sampled_linearly(image, places, self._checkpoint), images
+            lambda image: sampled_linearly(image, places, self._checkpoint), (moving, self._known)
         )
         return warped, known * self._counted
 
@@ -276,9 +291,11 @@ def _variance(residual: float) -> float:
 
 
 def relation_of(
-    level: Callable[[Relation], ImageLevel],
+    images: tuple[Reduced, Reduced],
     displacement: npt.NDArray[np.floating],
+    spacing: tuple[float, ...],
     choices: Sequence[Relation],
+    checkpoint: Checkpoint,
 ) -> Relation:
     """Return the relation with the largest correlation of the normalized images.
 
@@ -287,16 +304,16 @@ def relation_of(
 
     Parameters
     ----------
-    level : callable
-        Returns a level for a relation.
+    images, spacing, checkpoint
+        As for `ImageLevel`.
     displacement : ndarray, shape (H, W, 2) or (D, H, W, 3)
     choices : sequence of Relation
     """
 
     def correlation_of(relation: Relation) -> float:
-        images = level(relation)
-        images.expect(displacement)
-        return images.agreement(displacement)[1]
+        level = ImageLevel(images, spacing, checkpoint, relation)
+        level.expect(displacement)
+        return level.agreement(displacement)[1]
 
     best, *others = choices
     largest = correlation_of(best)
@@ -338,10 +355,17 @@ def expected_brightness(brightness: FloatArray, given: FloatArray, other: FloatA
     return np.asarray(np.interp(brightness, centres, means), np.float32)
 
 
-def reduced(
-    image: FloatArray, counted: BoolArray, step: int, width: float, checkpoint: Checkpoint
-) -> tuple[FloatArray, FloatArray]:
-    """Return an image with larger pixels, in units of its brightness range, and their weights.
+def reduced_pair(images: Images, step: int, checkpoint: Checkpoint) -> tuple[Reduced, Reduced]:
+    """Return two images with larger pixels; see `reduced`."""
+    fixed, moving = images.counted
+    return (
+        reduced(images.fixed, fixed, step, checkpoint),
+        reduced(images.moving, moving, step, checkpoint),
+    )
+
+
+def reduced(image: FloatArray, counted: BoolArray, step: int, checkpoint: Checkpoint) -> Reduced:
+    """Return an image with larger pixels, in units of its brightness range.
 
     Parameters
     ----------
@@ -350,26 +374,18 @@ def reduced(
         Mask of the pixels that count.
     step : int
         Size of the larger pixels.
-    width : float
-        Standard deviation of the window of the mean; 0 for no mean.
     checkpoint : callable
         Called between the steps; it may raise an error to cancel the computation.
-
-    Returns
-    -------
-    sums, share : ndarray, float32
-        Mean brightness of the pixels that count in each larger pixel, times their share of it, and
-        this share.
     """
     low, high = np.quantile(image[counted], (_BEYOND_RANGE, 1 - _BEYOND_RANGE))
     span = float(high - low) or float(np.ptp(image[counted])) or 1.0
     scaled = np.where(counted, (image - low) / span, 0)
     share = counted.astype(np.float32)
     every = (slice(None, None, step),) * image.ndim
-    if width > 0:
-        scaled = smoothed(scaled.astype(np.float32), width, checkpoint)[every]
-        share = smoothed(share, width, checkpoint)[every]
-    return np.ascontiguousarray(scaled, np.float32), np.ascontiguousarray(share)
+    if step > 1:
+        scaled = smoothed(scaled.astype(np.float32), step / 2, checkpoint)[every]
+        share = smoothed(share, step / 2, checkpoint)[every]
+    return Reduced(np.ascontiguousarray(scaled, np.float32), np.ascontiguousarray(share))
 
 
 def normalized(
@@ -382,7 +398,7 @@ def normalized(
     Parameters
     ----------
     sums, share : ndarray
-        Result of `reduced`.
+        As in `Reduced`.
     checkpoint : callable
         As for `reduced`.
     """

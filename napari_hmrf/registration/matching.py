@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +17,6 @@ import numpy.typing as npt
 import scipy
 
 from napari_hmrf.compute.compile_cache.stage import PREPARING
-from napari_hmrf.errors import Cancelled
 from napari_hmrf.field.deformation import smallest_determinant
 from napari_hmrf.field.neighbours import in_elements
 from napari_hmrf.registration.image_data import (
@@ -24,9 +24,11 @@ from napari_hmrf.registration.image_data import (
     Checkpoint,
     FloatArray,
     ImageLevel,
+    Images,
     LinearImages,
     Relation,
     is_function,
+    reduced_pair,
     relation_of,
 )
 from napari_hmrf.registration.rigid_bodies import turned, with_rigid_held
@@ -36,7 +38,7 @@ from napari_hmrf.solver.optimizers import Monitor, Multigrid
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
-from napari_hmrf.solver.solve import CancelFlag, Progress, solve
+from napari_hmrf.solver.solve import CancelFlag, Progress, solve, stop_if_cancelled
 from napari_hmrf.solver.uncertain_landmarks import Landmarks, corners_of
 
 #: Weight of the elastic energy of tissue of typical stiffness that is strained along one axis only,
@@ -48,9 +50,11 @@ _STEPS = (2, 3, 4)
 #: Same if the brightness of one image is a function of that of the other, because each step
 #: computes the function anew.
 _STEPS_OF_FUNCTION = (4, 3, 4)
+#: All relations of brightness, from simple to general.
+RELATIONS: tuple[Relation, ...] = ("same", "inverse", "from fixed", "from moving")
 #: Similarities for which the user may ask, and the relations among which each chooses.
 SIMILARITIES: dict[str, tuple[Relation, ...]] = {
-    "auto": ("same", "inverse", "from fixed", "from moving"),
+    "auto": RELATIONS,
     "same": ("same",),
     "inverse": ("inverse",),
     "other": ("from fixed", "from moving"),
@@ -127,14 +131,6 @@ class Match(NamedTuple):
 Show = Callable[[Solution, Step], None]
 
 
-class Images(NamedTuple):
-    """Two images on the grid of a problem, with masks of the pixels that count."""
-
-    fixed: FloatArray
-    moving: FloatArray
-    counted: tuple[BoolArray, BoolArray]
-
-
 def match(
     problem: Problem,
     prior: ElasticPrior,
@@ -142,7 +138,7 @@ def match(
     *,
     unit: float,
     smoothness: float = 1.0,
-    similarity: str = "auto",
+    relations: Sequence[Relation] = RELATIONS,
     start: npt.NDArray[np.floating] | None = None,
     progress: Progress | None = None,
     cancel: CancelFlag | None = None,
@@ -161,8 +157,8 @@ def match(
         Typical stiffness of the tissue.
     smoothness : float
         Weight of the elastic energy, relative to the usual weight.
-    similarity : str
-        One of `SIMILARITIES`.
+    relations : sequence of Relation
+        Relations of the brightness of both images among which the images decide.
     start : ndarray, shape (H, W, 2) or (D, H, W, 3), optional
         Displacement from which the iteration starts, on the finest level only; by default, the
         iteration starts at zero on the coarsest level.
@@ -182,13 +178,9 @@ def match(
     ProblemError, ConvergenceError
         As for `solve`.
     """
-
-    def checkpoint() -> None:
-        if cancel is not None and cancel.is_set():
-            raise Cancelled
-
+    checkpoint = partial(stop_if_cancelled, cancel)
     weight = smoothness * _SMOOTHNESS / _uniaxial_modulus(prior, len(problem.shape))
-    relation = _relation(images, similarity, problem, start, checkpoint)
+    relation = _relation(images, relations, problem, start, checkpoint)
     levels = schedule(problem.shape, relation)
     if start is not None:
         levels = levels[-1:]
@@ -196,10 +188,12 @@ def match(
     history: list[Step] = []
     displacement, tissue = start, problem.tissue
     for size, count in levels:
-        pair = ImageLevel(*images, size, problem.spacing, checkpoint, relation)
         base, nu = _on_level(problem, size), _prior_on_level(prior, size)
         displacement = _interpolated(displacement, tissue, base.shape, checkpoint)
         tissue = base.tissue
+        pair = ImageLevel(
+            reduced_pair(images, size, checkpoint), base.spacing, checkpoint, relation
+        )
         for number in range(count):
             last = size == 1 and number == count - 1
             report.begin(size, number)
@@ -224,23 +218,20 @@ def match(
 
 def _relation(
     images: Images,
-    similarity: str,
+    relations: Sequence[Relation],
     problem: Problem,
     start: npt.NDArray[np.floating] | None,
     checkpoint: Checkpoint,
 ) -> Relation:
     """Return the relation of brightness on the coarsest level, where motion matters least."""
-    choices = SIMILARITIES[similarity]
-    if len(choices) == 1:
-        return choices[0]
+    if len(relations) == 1:
+        return relations[0]
     size, _ = schedule(problem.shape)[0]
     every = (slice(None, None, size),) * len(problem.shape)
     given = np.zeros((*problem.shape, len(problem.shape)), np.float32) if start is None else start
-
-    def level(relation: Relation) -> ImageLevel:
-        return ImageLevel(*images, size, problem.spacing, checkpoint, relation)
-
-    return relation_of(level, given[every], choices)
+    spacing = tuple(size * each for each in problem.spacing)
+    reduced = reduced_pair(images, size, checkpoint)
+    return relation_of(reduced, given[every], spacing, relations, checkpoint)
 
 
 def _uniaxial_modulus(prior: ElasticPrior, axes: int) -> float:

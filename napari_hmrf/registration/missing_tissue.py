@@ -18,10 +18,12 @@ from napari_hmrf.registration.image_data import (
     BoolArray,
     Checkpoint,
     FloatArray,
+    Images,
+    Reduced,
     Relation,
     expected_brightness,
     moved_places,
-    reduced,
+    reduced_pair,
     sampled_linearly,
     smoothed,
 )
@@ -61,8 +63,7 @@ class Missing(NamedTuple):
 
 
 def missing_tissue(
-    images: tuple[FloatArray, FloatArray],
-    counted: tuple[BoolArray, BoolArray],
+    images: Images,
     displacement: npt.NDArray[np.floating],
     spacing: tuple[float, ...],
     relation: Relation,
@@ -72,10 +73,7 @@ def missing_tissue(
 
     Parameters
     ----------
-    images : tuple of ndarray, shape (H, W) or (D, H, W)
-        Fixed and moving image on the same grid.
-    counted : tuple of ndarray of bool
-        Masks of the pixels that count.
+    images : Images
     displacement : ndarray, shape (H, W, 2) or (D, H, W, 3)
         Result of a registration, in the unit of `spacing`.
     spacing : tuple of float
@@ -89,12 +87,12 @@ def missing_tissue(
     ndarray of bool, shape (H, W) or (D, H, W)
         Mask of the tissue; False everywhere if the images differ in too large a part.
     """
-    axes, shape = images[0].ndim, images[0].shape
+    axes, shape = images.fixed.ndim, images.fixed.shape
     step = max(1, math.ceil((math.prod(shape) / _MOST_PIXELS) ** (1 / axes)))
     every = (slice(None, None, step),) * axes
-    difference, known = _difference(
-        images, counted, displacement[every], spacing, step, relation, checkpoint
-    )
+    sides = tuple(step * size for size in spacing)
+    reduced = reduced_pair(images, step, checkpoint)
+    difference, known = _difference(reduced, displacement[every], sides, relation, checkpoint)
     found = _regions(difference)
     if found.sum() > _MOST_MISSING * known.sum():
         found[...] = False
@@ -121,11 +119,9 @@ def around_missing(
 
 
 def _difference(
-    images: tuple[FloatArray, FloatArray],
-    counted: tuple[BoolArray, BoolArray],
+    images: tuple[Reduced, Reduced],
     displacement: npt.NDArray[np.floating],
     spacing: tuple[float, ...],
-    step: int,
     relation: Relation,
     checkpoint: Checkpoint,
 ) -> tuple[FloatArray, BoolArray]:
@@ -133,17 +129,10 @@ def _difference(
 
     A smooth bias of one image is estimated and removed, so that missing tissue has little weight.
     """
-    width = step / 2 if step > 1 else 0.0
-    parts = [
-        reduced(image, mask, step, width, checkpoint)
-        for image, mask in zip(images, counted, strict=True)
-    ]
-    fixed, moving = (
-        np.asarray(sums / np.maximum(share, _TINY), np.float32) for sums, share in parts
-    )
-    places = moved_places(displacement, [step * size for size in spacing])
-    moving = sampled_linearly(moving, places, checkpoint)
-    known = sampled_linearly(parts[1][1], places, checkpoint) * parts[0][1] > 1 - _TINY
+    one, another = images
+    fixed, places = one.brightness, moved_places(displacement, spacing)
+    moving = sampled_linearly(another.brightness, places, checkpoint)
+    known = sampled_linearly(another.share, places, checkpoint) * one.share > 1 - _TINY
     given, other = (moving, fixed) if relation == "from moving" else (fixed, moving)
 
     def expected(bias: FloatArray) -> FloatArray:

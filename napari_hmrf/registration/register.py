@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,19 +15,19 @@ import scipy
 
 from napari_hmrf.arguments import is_one_of, refuse_unless, require_kind
 from napari_hmrf.checks import Positive, convert
-from napari_hmrf.errors import Cancelled, NoteWarning, ProblemError
+from napari_hmrf.errors import NoteWarning, ProblemError
 from napari_hmrf.field.brightness import luminance
 from napari_hmrf.field.warp import Spacing
 from napari_hmrf.real_arrays import as_mask, as_numbers, checked_spacing
 from napari_hmrf.registration.alignment import align, matrix_in_pixels
-from napari_hmrf.registration.image_data import BoolArray, FloatArray
-from napari_hmrf.registration.matching import SIMILARITIES, Images, Match, Show, match, placeholder
+from napari_hmrf.registration.image_data import BoolArray, FloatArray, Images, Relation
+from napari_hmrf.registration.matching import SIMILARITIES, Match, Show, match, placeholder
 from napari_hmrf.registration.missing_tissue import around_missing, missing_tissue
 from napari_hmrf.registration.result import Registration
 from napari_hmrf.solver.optimizers import Monitor
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.problem import Problem, as_stiffness
-from napari_hmrf.solver.solve import CancelFlag, Progress
+from napari_hmrf.solver.solve import CancelFlag, Progress, stop_if_cancelled
 from napari_hmrf.solver.uncertain_landmarks import Landmarks, typical_stiffness
 from napari_hmrf.solver.volume_memory import REGISTRATION, require_memory
 
@@ -211,8 +213,10 @@ def registered(
 
     Parameters
     ----------
-    problem, prior, images, unit, smoothness, similarity, start, progress, cancel, show
+    problem, prior, images, unit, smoothness, start, progress, cancel, show
         As in `match`.
+    similarity, compare_all
+        As in `register`.
     matrix, moving_spacing
         As in a `Registration`.
     missing : ndarray of bool, shape (H, W) or (D, H, W), optional
@@ -224,38 +228,38 @@ def registered(
     first = images if missing is None else images._replace(counted=(fixed & ~missing, moving))
     once = compare_all and missing is None
 
-    def matched(compared: Images, passes: tuple[float, float], note: str = "") -> Match:
+    def matched(
+        compared: Images,
+        relations: Sequence[Relation],
+        passes: tuple[float, float],
+        note: str = "",
+    ) -> Match:
         return match(
             problem,
             prior,
             compared,
             unit=unit,
             smoothness=smoothness,
-            similarity=similarity,
+            relations=relations,
             start=start,
             progress=_part(progress, passes, note),
             cancel=cancel,
             show=show,
         )
 
-    def checkpoint() -> None:
-        if cancel is not None and cancel.is_set():
-            raise Cancelled
-
     def missing_in(found: Match) -> BoolArray:
-        motion, sizes = found.solution.displacement, problem.spacing
-        pair = (images.fixed, images.moving), images.counted
-        return missing_tissue(*pair, motion, sizes, found.relation, checkpoint)
+        motion, checkpoint = found.solution.displacement, partial(stop_if_cancelled, cancel)
+        return missing_tissue(images, motion, problem.spacing, found.relation, checkpoint)
 
     region = missing
     try:
-        found = matched(first, (0.0, 1.0 if once else 0.5))
+        found = matched(first, SIMILARITIES[similarity], (0.0, 1.0 if once else 0.5))
         if region is None and not compare_all:
             region = missing_in(found)
         if region is not None and region.any():
             around = around_missing(region, found.solution.displacement, problem.spacing)
             again = images._replace(counted=(fixed & ~around.fixed, moving & ~around.moving))
-            found = matched(again, (0.5, 1.0), "without missing tissue: ")
+            found = matched(again, (found.relation,), (0.5, 1.0), "without missing tissue: ")
             # Where tissue no longer follows a wrong structure, its edge is found more exactly.
             if missing is None and (nearer := missing_in(found)).any():
                 region = nearer

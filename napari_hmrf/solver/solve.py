@@ -76,6 +76,12 @@ class CancelFlag(Protocol):
         ...
 
 
+def stop_if_cancelled(cancel: CancelFlag | None) -> None:
+    """Raise `Cancelled` if a flag is set."""
+    if cancel is not None and cancel.is_set():
+        raise Cancelled
+
+
 def solve(
     problem: Problem,
     prior: Prior | None = None,

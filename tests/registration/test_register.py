@@ -22,7 +22,7 @@ from napari_hmrf import (
 from napari_hmrf.fields import count_folds, green_lagrange_strain
 from napari_hmrf.landmarks import Landmarks
 from napari_hmrf.registration import register
-from napari_hmrf.registration.image_data import ImageLevel
+from napari_hmrf.registration.image_data import ImageLevel, Images, reduced_pair
 from napari_hmrf.solver.precision import checked_precision
 
 SIZE = 96
@@ -311,7 +311,8 @@ def test_a_black_background_is_no_observation():
     tails = ndimage.gaussian_filter(inside.astype(np.float32), 1.5, truncate=12)
     image = np.where(inside, texture(shape=shape) + 1, tails).astype(np.float32)
     known = np.ones(shape, bool)
-    level = ImageLevel(image, image, (known, known), 1, (1.0, 1.0), lambda: None)
+    reduced = reduced_pair(Images(image, image, (known, known)), 1, lambda: None)
+    level = ImageLevel(reduced, (1.0, 1.0), lambda: None)
     moved = np.zeros((*shape, 2), np.float32)
     moved[..., 0] = 5
     precision = level.linear(moved, 1.0).precision
@@ -323,7 +324,8 @@ def test_a_speck_in_one_image_hardly_moves_the_tissue():
     image, known = texture(1, (40, 40)).astype(np.float32), np.ones((40, 40), bool)
     speck = image.copy()
     speck[17, 17] = 1
-    level = ImageLevel(image, speck, (known, known), 1, (1.0, 1.0), lambda: None)
+    reduced = reduced_pair(Images(image, speck, (known, known)), 1, lambda: None)
+    level = ImageLevel(reduced, (1.0, 1.0), lambda: None)
     observed = level.linear(np.zeros((40, 40, 2), np.float32), 1.0).observed
     assert np.linalg.norm(observed, axis=-1).max() < 0.15
 

@@ -34,7 +34,7 @@ import functools
 import importlib.util
 import math
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -687,20 +687,20 @@ def known(given: Known) -> dict[str, Any]:
 # Different contrasts.
 
 
-class Contrasted(NamedTuple):
-    """Registration of a known deformation with a contrast of the moving image."""
+class Variant(NamedTuple):
+    """Kind of a registration of a known deformation of a head, with the seed of the deformation."""
 
-    contrast: str
+    kind: str
     seed: int
     head: Head
 
 
-def contrast_cases(options: Options) -> Iterator[tuple[str, Contrasted]]:
-    """Yield the contrasts and seeds for the head of the command."""
+def variants(kinds: Iterable[str], options: Options) -> Iterator[tuple[str, Variant]]:
+    """Yield all kinds with all seeds, for the head of the command."""
     head = head_of(options)
-    for seed in options.seeds or options.choose((2, 3, 4, 5, 6), (2,)):
-        for contrast in CONTRASTS:
-            yield f"{contrast}, seed {seed}", Contrasted(contrast, seed, head)
+    for kind in kinds:
+        for seed in options.seeds or options.choose((2, 3, 4, 5, 6), (2,)):
+            yield f"{kind}, seed {seed}", Variant(kind, seed, head)
 
 
 def _contrast_rows(results: Results) -> Iterator[list[Any]]:
@@ -717,18 +717,18 @@ def _contrast_rows(results: Results) -> Iterator[list[Any]]:
 
 @study(
     "registration.contrasts",
-    contrast_cases,
+    partial(variants, CONTRASTS),
     ("contrast", "relation", "seeds", "mean error by seed (mm)", "ratio to equal", "largest"),
     rows=_contrast_rows,
     page=_PAGE,
 )
-def contrasts(given: Contrasted) -> dict[str, Any]:
+def contrasts(given: Variant) -> dict[str, Any]:
     """Compare the displacements of a head with the true ones, for images of other contrasts."""
-    made = case(given.head, "splines", given.seed, given.contrast)
+    made = case(given.head, "splines", given.seed, given.kind)
     found = register(made.fixed, made.moving, spacing=given.head.spacing)
     away = np.linalg.norm(found.displacement - made.displacement, axis=-1)[given.head.brain]
     return {
-        "contrast": given.contrast,
+        "contrast": given.kind,
         "seed": given.seed,
         "relation": found.relation,
         "mean": float(away.mean()),
@@ -742,23 +742,7 @@ def contrasts(given: Contrasted) -> dict[str, Any]:
 _CAVITY, _TUMOUR, _RADII, _GROWN, _REACH = 0.22, 0.95, (12.0, 18.0), 0.8, 12.0
 
 
-class Lacking(NamedTuple):
-    """Registration of a head whose tissue is partly missing in the moving image."""
-
-    kind: str
-    seed: int
-    head: Head
-
-
-def lacking_cases(options: Options) -> Iterator[tuple[str, Lacking]]:
-    """Yield the kinds and seeds for the head of the command."""
-    head = head_of(options)
-    for kind in ("resection", "tumour"):
-        for seed in options.seeds or options.choose((2, 3, 4, 5, 6), (2,)):
-            yield f"{kind}, seed {seed}", Lacking(kind, seed, head)
-
-
-def without_tissue(given: Lacking) -> tuple[Case, Array, Array]:
+def without_tissue(given: Variant) -> tuple[Case, Array, Array]:
     """Return a case, and the masks of the tissue without counterpart in each image."""
     head, rng = given.head, np.random.default_rng([given.seed, given.kind == "tumour", 7])
     fixed, displacement = TRUTHS["splines"](head, rng)
@@ -801,7 +785,7 @@ def _lacking_rows(results: Results) -> Iterator[list[Any]]:
 
 @study(
     "registration.missing",
-    lacking_cases,
+    partial(variants, ("resection", "tumour")),
     (
         "tissue", "seeds", "Dice", "error (mm)", "with true masks", "all compared",
         "ratio to true masks",
@@ -809,7 +793,7 @@ def _lacking_rows(results: Results) -> Iterator[list[Any]]:
     rows=_lacking_rows,
     page=_PAGE,
 )  # fmt: skip
-def lacking(given: Lacking) -> dict[str, Any]:
+def lacking(given: Variant) -> dict[str, Any]:
     """Compare displacements near missing tissue with the true ones, with and without masks."""
     (fixed, moving, truth), gone, hole = without_tissue(given)
     head = given.head
