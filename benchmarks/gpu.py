@@ -165,7 +165,7 @@ def works(size: int, backend: str) -> dict[str, Work]:
 
 
 def _copy(problem: Problem) -> Problem:
-    """Return an equal problem with other arrays, about which nothing is known yet."""
+    """Return an equal problem that was validated again, from other arrays."""
     names = "observed", "confidence", "stiffness"
     return replace(problem, **{name: getattr(problem, name).copy() for name in names})
 

@@ -54,9 +54,14 @@ def as_numbers(field: str, value: Any) -> npt.NDArray[Any]:
     return array
 
 
-def as_float32(field: str, value: npt.ArrayLike) -> FloatArray:
-    """Copy `value` to a C-contiguous float32 array; raise an error for masked or huge values."""
+def as_float32(field: str, value: npt.ArrayLike, latest: FloatArray | None = None) -> FloatArray:
+    """Copy `value` to a C-contiguous float32 array; raise an error for masked or huge values.
+
+    If the value has the same shape, type and bytes as the array `latest`, this array is returned.
+    """
     array = as_numbers(field, value)
+    if latest is not None and are_equal(array, latest):
+        return latest
     if array.dtype.kind == "f" and array.dtype.itemsize > 4 and array.size:
         with np.errstate(invalid="ignore"):
             largest = float(np.max(np.abs(array), initial=0, where=np.isfinite(array)))

@@ -360,9 +360,7 @@ def _with_moved_observations(
         return problem, 0
     for values in changed.values():
         values.setflags(write=False)
-    made = variant_of(problem, **changed)
-    vars(made).pop("known", None)
-    return made, len(moved)
+    return variant_of(problem, **changed), len(moved)
 
 
 def _beside(problem: Problem, found: Followers, at: Indices) -> tuple[Indices, Mask]:

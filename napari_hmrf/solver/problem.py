@@ -5,10 +5,11 @@ from __future__ import annotations
 import copy
 import hashlib
 import math
-from collections.abc import Iterator, Mapping, Sequence
+import weakref
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -40,13 +41,72 @@ _SMALLEST_STIFFNESS = 1e-30
 _EVEN = (1.0, 1.0)
 #: Largest plausible displacement, as a multiple of the image diagonal.
 MAX_REACH = 2.0
-# Mask of observed components and their indices, which stay the same during a drag. Any thread may
-# replace them.
-_known_at: Kept[tuple[npt.NDArray[np.bool_], npt.NDArray[np.intp]]] = Kept(is_large=True)
-# Latest masks. An equal mask of a later problem is replaced by them, so that all later comparisons
-# of the mask are free.
-_tissue: Kept[npt.NDArray[np.bool_]] = Kept(is_large=True)
-_known: Kept[npt.NDArray[np.bool_]] = Kept(is_large=True)
+T = TypeVar("T", bound=npt.NDArray[Any])
+Mask = npt.NDArray[np.bool_]
+# Largest share of observed components for which only their values are read.
+_FEW = 0.25
+# Number of shapes of which the latest array is known. Small problems that try a device have others.
+_SHAPES = 4
+
+
+class _Latest(Generic[T]):
+    """Latest read-only array of one kind, such as the stiffness, for each of a few shapes.
+
+    Only the observations change during a drag. As long as the latest array is in use, it replaces
+    an equal array of a later problem, so that all comparisons of the array are free. Any thread may
+    replace the array.
+    """
+
+    def __init__(self) -> None:
+        self._kept: Kept[dict[tuple[int, ...], weakref.ref[T]]] = Kept()
+
+    def like(self, value: object) -> T | None:
+        """Return the latest array of the shape of a value, or None if there is none in use."""
+        of_shapes = self._kept.value
+        if of_shapes is None or not isinstance(value, np.ndarray):
+            return None
+        found = of_shapes.get(value.shape)
+        return None if found is None else found()
+
+    def put(self, array: T) -> T:
+        """Return an array, read-only, or the latest one if both are equal."""
+        latest = self.like(array)
+        if latest is not None and are_equal(array, latest):
+            return latest
+        array.setflags(write=False)
+        others = [each for each in (self._kept.value or {}).items() if each[0] != array.shape]
+        self._kept.value = dict([*others[1 - _SHAPES :], (array.shape, weakref.ref(array))])
+        return array
+
+
+class _Derived(Generic[T]):
+    """Latest array of one kind that is derived from read-only arrays."""
+
+    def __init__(self, derive: Callable[..., T]) -> None:
+        self._derive, self._latest = derive, _Latest[T]()
+        self._kept: Kept[tuple[tuple[weakref.ref[Any], ...], T]] = Kept(is_large=True)
+
+    def of(self, *given: npt.NDArray[Any]) -> T:
+        """Return the array that is derived from other arrays."""
+        kept = self._kept.value
+        if kept is not None and all(
+            ref() is each for ref, each in zip(kept[0], given, strict=True)
+        ):
+            return kept[1]
+        array = self._latest.put(self._derive(*given))
+        self._kept.value = tuple(map(weakref.ref, given)), array
+        return array
+
+
+_stiffness, _confidence = _Latest[FloatArray](), _Latest[FloatArray]()
+_tissue = _Derived[Mask](lambda stiffness: stiffness > 0)
+_observed = _Derived[Mask](lambda confidence: confidence > 0)
+_known = _Derived[Mask](lambda observed, tissue: observed & tissue[..., None])
+_observed_at = _Derived[npt.NDArray[np.intp]](np.flatnonzero)
+_known_at = _Derived[npt.NDArray[np.intp]](np.flatnonzero)
+_known_confidence = _Derived[FloatArray](lambda confidence, at: confidence.ravel().take(at))
+# Cached properties of the observations and their confidence.
+_OF_OBSERVATIONS = "digests", "known", "known_at", "known_confidence", "known_values"
 
 
 @dataclass(frozen=True, eq=False, init=False)
@@ -122,12 +182,14 @@ class Problem:
     ) -> None:
         # If `observed` has one value per pixel, do not interpret the stiffness as a volume.
         image = isinstance(observed, np.ndarray) and observed.ndim == 2
-        m = _as_image(stiffness, (2,) if image else (2, 3))
+        latest_m = _stiffness.like(stiffness)
+        latest_c = _confidence.like(confidence)
+        m = _as_image(stiffness, (2,) if image else (2, 3), latest_m)
         pixel = checked_spacing((1.0,) * m.ndim if spacing is _EVEN else spacing, m.ndim)
         _check_grid(m)
-        c = as_float32("confidence", confidence)
-        y = as_float32("observed", observed)
-        for field, array in (("confidence", c), ("observed", y)):
+        c = as_float32("confidence", confidence, latest_c)
+        given_y = as_numbers("observed", observed)
+        for field, array in (("confidence", c), ("observed", given_y)):
             expected = (*m.shape, m.ndim)
             if array.shape != expected:
                 raise ProblemError(
@@ -135,28 +197,31 @@ class Problem:
                     f"has shape {array.shape}, but stiffness has shape {m.shape}, so {expected} is "
                     "needed (one value per axis at each pixel). Use the same pixel grid for both.",
                 )
-        _check_stiffness_unit(stiffness, m)
-        _check_stiffness(m)
+        if m is not latest_m:
+            _check_stiffness_unit(stiffness, m)
+            _check_stiffness(m)
+            m = _stiffness.put(m)
         weight = None if precision is None else checked_precision(precision, m > 0)
         has_data = weight is not None or landmarks is not None
-        _check_confidence(c, required=not has_data)
-        unused = c <= 0
+        if c is not latest_c:
+            _check_confidence(c)
+            c = _confidence.put(c)
+        if not has_data:
+            _check_any(c)
+        used = _observed.of(c)
         if weight is not None:
-            unused &= ~weight.any(axis=-1)
+            used = used | weight.any(axis=-1)
             _check_precision(weight, m, pixel)
-        np.copyto(y, np.float32(0), where=unused)  # a copy already
-        _check_finite(
-            "observed", y, f"where confidence{' or precision' * (weight is not None)} is above 0"
-        )
-        check_reach(y, pixel)
+        y, values = _used_values(given_y, used, pixel, of_precision=weight is not None)
         for field, array in (("observed", y), ("confidence", c), ("stiffness", m)):
-            array.setflags(write=False)
             object.__setattr__(self, field, array)
         object.__setattr__(self, "spacing", pixel)
         object.__setattr__(self, "precision", weight)
         object.__setattr__(self, "landmarks", landmarks)
         if not has_data:
             _check_known(self.known)
+        if values is not None and values.size == self.known_at.size:
+            vars(self)["known_values"] = values
         _check_landmarks(landmarks, m, pixel)
         object.__setattr__(self, "loads", loads)
         _check_loads(loads, m, pixel)
@@ -194,7 +259,7 @@ class Problem:
     @cached_property
     def tissue(self) -> npt.NDArray[np.bool_]:
         """Mask of tissue: stiffness above 0, shape (H, W)."""
-        return _shared(_tissue, self.stiffness > 0)
+        return _tissue.of(self.stiffness)
 
     @cached_property
     def rigid(self) -> npt.NDArray[np.bool_]:
@@ -211,17 +276,17 @@ class Problem:
     @cached_property
     def known(self) -> npt.NDArray[np.bool_]:
         """Mask of observed components of tissue: confidence above 0, shape (H, W, 2)."""
-        mask = self.confidence > 0
-        mask &= self.tissue[..., None]
-        return _shared(_known, mask)
+        return _known.of(_observed.of(self.confidence), self.tissue)
 
     @cached_property
     def known_at(self) -> npt.NDArray[np.intp]:
         """Indices of the observed components of tissue in the flattened observations."""
-        known = self.known
-        return _known_at.get(
-            lambda last: are_equal(last[0], known), lambda: (known, np.flatnonzero(known))
-        )[1]
+        return _known_at.of(self.known)
+
+    @cached_property
+    def known_confidence(self) -> FloatArray:
+        """Confidence at `known_at`."""
+        return _known_confidence.of(self.confidence, self.known_at)
 
     @cached_property
     def known_values(self) -> FloatArray:
@@ -329,7 +394,8 @@ def variant_of(problem: Problem, **changes: object) -> Problem:
     Void and rigid tissue must stay the same, because their masks are copied.
     """
     other = copy.copy(problem)
-    vars(other).pop("digests", None)
+    for name in _OF_OBSERVATIONS:
+        vars(other).pop(name, None)
     for name, value in changes.items():
         object.__setattr__(other, name, value)
     return other
@@ -353,7 +419,7 @@ def part_of(problem: Problem, sites: tuple[slice, ...]) -> Problem:
         return part
 
     part = variant_of(problem)
-    for name in ("tissue", "rigid", "known"):
+    for name in ("tissue", "rigid"):
         vars(part).pop(name, None)
     for name in ("observed", "confidence", "stiffness", "precision"):
         values = getattr(problem, name)
@@ -417,8 +483,10 @@ def as_stiffness(stiffness: npt.ArrayLike) -> FloatArray:
     return m
 
 
-def _as_image(stiffness: npt.ArrayLike, axes: tuple[int, ...] = (2, 3)) -> FloatArray:
-    image = as_float32("stiffness", stiffness)
+def _as_image(
+    stiffness: npt.ArrayLike, axes: tuple[int, ...] = (2, 3), latest: FloatArray | None = None
+) -> FloatArray:
+    image = as_float32("stiffness", stiffness, latest)
     if image.ndim not in axes:
         swapped = image.ndim == 3 and image.shape[-1] == 2  # one value for each component
         hint = "Pass one value for each pixel." if swapped else ""
@@ -455,12 +523,18 @@ def _check_finite(
         )
 
 
-def check_reach(y: FloatArray, spacing: tuple[float, ...]) -> None:
-    """Raise an error for displacements far beyond the image, usually due to a wrong unit."""
+def check_reach(
+    y: FloatArray, spacing: tuple[float, ...], values: FloatArray | None = None
+) -> None:
+    """Raise an error for displacements far beyond the image, usually due to a wrong unit.
+
+    If only a few displacements are not 0, `values` may be their components.
+    """
     grid = y.shape[:-1]
     diagonal = math.hypot(*(size * step for size, step in zip(grid, spacing, strict=True)))
     # Usually the largest component is sufficient; computing all lengths takes ten times as long.
-    largest = max(float(y.max()), -float(y.min()))
+    values = y if values is None else values
+    largest = max(float(values.max(initial=0)), -float(values.min(initial=0)))
     if math.sqrt(len(grid)) * largest <= MAX_REACH * diagonal:
         return
     length = np.linalg.norm(y.astype(np.float64), axis=-1)
@@ -544,7 +618,33 @@ def _check_precision(
         )
 
 
-def _check_confidence(c: FloatArray, *, required: bool) -> None:
+def _used_values(
+    given: npt.NDArray[Any], used: Mask, pixel: tuple[float, ...], *, of_precision: bool
+) -> tuple[FloatArray, FloatArray | None]:
+    """Return a checked copy of the observations, which is 0 where they are not used.
+
+    The second array contains the used values only, if they are few and already in single precision.
+    Otherwise, it is None, and values that single precision cannot represent are refused, even where
+    they are not used.
+    """
+    values = None
+    few = np.count_nonzero(used) < _FEW * used.size
+    if few and not of_precision and given.dtype == np.float32:
+        at = _observed_at.of(used)
+        y, values = np.zeros(used.shape, np.float32), given.reshape(-1)[at]
+        y.reshape(-1)[at] = values
+    if values is None:
+        y = as_float32("observed", given)
+        np.copyto(y, np.float32(0), where=~used)
+    if not np.isfinite(y if values is None else values).all():
+        where = f"where confidence{' or precision' * of_precision} is above 0"
+        _check_finite("observed", y, where)
+    check_reach(y, pixel, values)
+    y.setflags(write=False)
+    return y, values
+
+
+def _check_confidence(c: FloatArray) -> None:
     _check_finite("confidence", c)
     if c.min() < 0 or c.max() > 1:
         outside = np.asarray(((c < 0) | (c > 1)).any(axis=-1))
@@ -553,7 +653,10 @@ def _check_confidence(c: FloatArray, *, required: bool) -> None:
             f"has {how_many(outside)} outside 0 to 1, the first at {first_index(outside)}. Scale "
             "the confidence to the range from 0 (none) to 1 (complete).",
         )
-    if required and not c.any():
+
+
+def _check_any(c: FloatArray) -> None:
+    if not c.any():
         raise ProblemError(
             "confidence",
             "is 0 everywhere: nothing determines how tissue moves. Mark at least one place as "
@@ -611,14 +714,6 @@ def _check_sliding(sliding: object, m: FloatArray) -> None:
             "sliding", f"is {shown(sliding)}, of type {kind}. Pass SlidingParts(labels)."
         )
     sliding.check(m)
-
-
-def _shared(
-    kept: Kept[npt.NDArray[np.bool_]], mask: npt.NDArray[np.bool_]
-) -> npt.NDArray[np.bool_]:
-    """Return the mask, read-only, or the latest mask of its kind if both are equal."""
-    mask.setflags(write=False)
-    return kept.get(lambda last: are_equal(last, mask), lambda: mask)
 
 
 def _check_known(known: npt.NDArray[np.bool_]) -> None:

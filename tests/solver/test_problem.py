@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from napari_hmrf import Problem, ProblemError
+from napari_hmrf.solver.problem import part_of, variant_of
 
 
 def valid_arrays(shape=(5, 4)):
@@ -254,6 +255,49 @@ def test_a_huge_motion_without_confidence_is_ignored():
     y, c, m = valid_arrays()
     y[2, 3], c[2, 3] = 1e30, 0
     assert not Problem(observed=y, confidence=c, stiffness=m).observed[2, 3].any()
+
+
+def test_equal_maps_of_later_problems_are_one_array_and_others_are_checked():
+    y, c, m = (array.astype(np.float32) for array in valid_arrays())
+    first = Problem(observed=y, confidence=c, stiffness=m)
+    second = Problem(observed=y + 1, confidence=c.copy(), stiffness=m.copy())
+    assert second.confidence is first.confidence
+    assert second.stiffness is first.stiffness
+    assert second.known is first.known
+    assert (second.known_values == 1).all()
+    assert (first.known_values == 0).all()
+    c[1, 2, 0] = np.nan
+    with pytest.raises(ProblemError, match=r"confidence: .* the first at \(1, 2\)"):
+        Problem(observed=y, confidence=c, stiffness=m)
+    m[3, 1] = -1
+    with pytest.raises(ProblemError, match=r"stiffness: has 1 negative .* the first at \(3, 1\)"):
+        Problem(observed=y, confidence=first.confidence, stiffness=m)
+    y[0, 3, 1] = np.inf
+    with pytest.raises(ProblemError, match=r"observed: .* the first at \(0, 3\)"):
+        Problem(observed=y, confidence=first.confidence, stiffness=first.stiffness)
+
+
+def test_few_values_in_single_precision_are_kept_as_many_in_double_precision_are():
+    y, c, m = valid_arrays((9, 8))
+    y[:] = np.arange(y.size).reshape(y.shape) / 64
+    m[0, 2] = 0  # an observation in void
+    few = Problem(observed=y.astype(np.float32), confidence=c, stiffness=m)
+    many = Problem(observed=y, confidence=c, stiffness=m)
+    assert np.array_equal(few.observed, many.observed)
+    assert few.known_at.tolist() == many.known_at.tolist() == [0, 1, 2, 3, *range(6, 16)]
+    assert np.array_equal(few.known_values, many.known_values)
+
+
+def test_a_variant_with_other_observations_remembers_nothing_of_the_first():
+    y, c, m = valid_arrays()
+    problem = Problem(observed=y, confidence=c, stiffness=m)
+    assert problem.known_at.size == 8
+    assert not problem.known_values.any()
+    other = variant_of(problem, observed=problem.observed + 1, confidence=problem.confidence[::-1])
+    assert other.known_at.tolist() == list(range(32, 40))
+    assert other.known_values.tolist() == [1] * 8
+    part = part_of(problem, (slice(0, 2), slice(1, 3)))
+    assert part.known_at.tolist() == [0, 1, 2, 3]
 
 
 def test_the_repr_of_a_problem_is_one_line_without_arrays():

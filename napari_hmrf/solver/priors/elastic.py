@@ -148,7 +148,7 @@ class ElasticPrior:
         """Return whether any observation of the problem may slip."""
         if self.penalty is not None:
             return self.penalty < math.inf
-        return bool((problem.confidence.ravel().take(problem.known_at) < 1).any())
+        return bool((problem.known_confidence < 1).any())
 
     def limit(self, problem: Problem) -> Float64Array | None:
         """Return the force limits P, (H, W, 2), or None if observations cannot slip.
