@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Literal, NamedTuple
 
@@ -73,6 +73,8 @@ _RELATED, _BY_CHANCE = 0.15, 2.0
 # Fraction of pixels whose brightness is outside of the range of an image.
 _BEYOND_RANGE = 0.01
 _TINY = 1e-12
+# Number of pixels whose equations are solved at once, to limit the use of memory.
+_BLOCK_SIZE = 1 << 16
 
 
 class Images(NamedTuple):
@@ -126,6 +128,13 @@ class LinearImages(NamedTuple):
     similarity: float
     weight: float
 
+    def weakened(self, sites: BoolArray, factor: float) -> LinearImages:
+        """Return the data term with a smaller precision at some sites."""
+        share = np.where(sites, np.float32(factor), np.float32(1))
+        precision = self.precision * share[..., None, None]
+        precision.setflags(write=False)
+        return self._replace(precision=precision)
+
 
 class ImageLevel:
     """Two images on the grid of one level, normalized.
@@ -156,7 +165,6 @@ class ImageLevel:
             self._fixed = -self._fixed
         # Images whose brightness `expect` needs.
         self._related = images if is_function(relation) else None
-        self._slopes = self._gradient(self._fixed)
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -178,7 +186,6 @@ class ImageLevel:
         if self.relation == "from fixed":
             expected = expected_brightness(fixed, fixed[both], warped[both])
             self._fixed, _ = normalized(expected * one.share, one.share, self._checkpoint)
-            self._slopes = self._gradient(self._fixed)
         else:
             expected = expected_brightness(moving, warped[both], fixed[both])
             self._moving, _ = normalized(expected * other.share, other.share, self._checkpoint)
@@ -218,42 +225,68 @@ class ImageLevel:
         self.expect(displacement)
         warped, weight = self.warped(displacement)
         self._checkpoint()
-        difference = (self._fixed - warped) * (weight > 0)
         residual, similarity = self._agreement(warped, weight)
-        weight = weight / (1 + (difference / _OUTLIER) ** 2)
-        # The mean of both gradients halves the error of the linear approximation.
-        slopes = [
-            (own + other) / 2
-            for own, other in zip(self._slopes, self._gradient(warped), strict=True)
-        ]
-        axes, balance = len(self.shape), smoothness * _variance(residual)
+        balance = smoothness * _variance(residual)
         scale = float(np.prod(self.spacing)) / balance
-        pairs = [(i, j) for i in range(axes) for j in range(i, axes)]
+        # All arrays are sums over a window until the last loop, which scales and solves them.
+        precision, observed = self._collected(warped, weight)
+        least = _NOTHING * max(1.0, 1 / scale)
 
-        def collected(pair: tuple[int, int]) -> FloatArray:
-            one, other = slopes[pair[0]], (*slopes, difference)[pair[1]]
-            return smoothed(weight * one * other, _WINDOW, self._checkpoint)
+        def of_diagonal(sites: slice) -> float:
+            some = precision[sites]
+            seen = np.trace(some, axis1=-2, axis2=-1) > least
+            some *= seen[..., None, None]
+            observed[sites] *= seen[..., None]
+            return float(np.trace(some, axis1=-2, axis2=-1).sum(dtype=np.float64))
 
-        sums = _parallel(collected, [*pairs, *((axis, axes) for axis in range(axes))])
-        seen = sum(found for (i, j), found in zip(pairs, sums, strict=False) if i == j)
-        seen = seen > _NOTHING * max(1.0, 1 / scale)
-        for found in sums:
-            found *= seen
-        precision = np.empty((*self.shape, axes, axes))
-        for (i, j), found in zip(pairs, sums, strict=False):
-            precision[..., i, j] = precision[..., j, i] = scale * found
-        self._checkpoint()
-        diagonal = [precision[..., axis, axis] for axis in range(axes)]
-        for own in diagonal:
-            own += _DAMPING * max(float(np.mean(diagonal)), _TINY) * (weight > 0)
-        observed = np.empty((*self.shape, axes), np.float32)
-        step = _solved(precision, [scale * found for found in sums[len(pairs) :]])
-        longest = max(n * size for n, size in zip(self.shape, self.spacing, strict=True))
-        length = np.sqrt(sum(own**2 for own in step))
-        part = np.minimum(1, _LONGEST_STEP * longest / np.maximum(length, _TINY))
-        for axis, own in enumerate(step):
-            observed[..., axis] = displacement[..., axis] + part * own
-        return LinearImages(precision.astype(np.float32), observed, residual, similarity, balance)
+        blocks = list(_blocks(self.shape))
+        mean = scale * sum(_parallel(of_diagonal, blocks)) / observed.size
+        damping = _DAMPING * max(mean, _TINY)
+        longest = _LONGEST_STEP * max(
+            n * size for n, size in zip(self.shape, self.spacing, strict=True)
+        )
+
+        def solve(sites: slice) -> None:
+            self._checkpoint()
+            tensors = scale * precision[sites].astype(np.float64)
+            tensors += damping * (weight[sites] > 0)[..., None, None] * np.eye(observed.shape[-1])
+            step = _solved(tensors, scale * observed[sites].astype(np.float64))
+            length = np.linalg.norm(step, axis=-1, keepdims=True)
+            step *= np.minimum(1, longest / np.maximum(length, _TINY))
+            observed[sites] = displacement[sites] + step
+            precision[sites] = tensors
+
+        _parallel(solve, blocks)
+        precision.setflags(write=False)
+        return LinearImages(precision, observed, residual, similarity, balance)
+
+    def _collected(self, warped: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return sums over a window of products of slopes, and of slopes and the difference.
+
+        Returns
+        -------
+        ndarray, shape (H, W, 2, 2) or (D, H, W, 3, 3)
+        ndarray, shape (H, W, 2) or (D, H, W, 3)
+        """
+        difference = (self._fixed - warped) * (weight > 0)
+        share = weight / (1 + (difference / _OUTLIER) ** 2)
+        # The gradient of the mean of both images halves the error of the linear approximation.
+        slopes = self._gradient(np.float32(0.5) * (self._fixed + warped))
+        axes = len(slopes)
+        products = np.empty((*self.shape, axes, axes), np.float32)
+        moments = np.empty((*self.shape, axes), np.float32)
+
+        def collect(pair: tuple[int, int]) -> None:
+            i, j = pair
+            out = moments[..., i] if j == axes else products[..., i, j]
+            values = share * slopes[i]
+            values *= difference if j == axes else slopes[j]
+            out[...] = smoothed(values, _WINDOW, self._checkpoint)
+            if i != j < axes:
+                products[..., j, i] = out
+
+        _parallel(collect, [(i, j) for i in range(axes) for j in range(i, axes + 1)])
+        return products, moments
 
     def _gradient(self, image: FloatArray) -> list[FloatArray]:
         self._checkpoint()
@@ -275,7 +308,7 @@ def moved_places(
     """
     sites = np.ogrid[tuple(slice(n) for n in displacement.shape[:-1])]
     return [
-        np.asarray(at + displacement[..., axis] / size, np.float32)
+        np.asarray(at.astype(np.float32) + displacement[..., axis] / size, np.float32)
         for axis, (at, size) in enumerate(zip(sites, spacing, strict=True))
     ]
 
@@ -418,10 +451,19 @@ def normalized(
     return np.where(inside, image, 0).astype(np.float32), inside.astype(np.float32)
 
 
-def _solved(matrix: npt.NDArray[np.float64], right: list[Any]) -> list[npt.NDArray[np.float64]]:
+def _blocks(grid: Sequence[int]) -> Iterator[slice]:
+    """Yield ranges of rows or planes of a grid, so that arrays of a range are small."""
+    count = max(1, _BLOCK_SIZE // math.prod(grid[1:]))
+    for begin in range(0, grid[0], count):
+        yield slice(begin, begin + count)
+
+
+def _solved(
+    matrix: npt.NDArray[np.float64], right: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
     """Solve a symmetric system of two or three equations at each site; 0 where it is singular."""
-    a = np.moveaxis(matrix, (-2, -1), (0, 1))
-    axes = len(right)
+    a, b = np.moveaxis(matrix, (-2, -1), (0, 1)), np.moveaxis(right, -1, 0)
+    axes = len(b)
     if axes == 2:
         cofactors = [[a[1, 1], -a[0, 1]], [-a[0, 1], a[0, 0]]]
     else:
@@ -432,7 +474,8 @@ def _solved(matrix: npt.NDArray[np.float64], right: list[Any]) -> list[npt.NDArr
                 cofactors[i][j] = cofactors[j][i] = a[p, r] * a[q, s] - a[p, s] * a[q, r]
     whole = sum(a[0, j] * cofactors[0][j] for j in range(axes))
     safe = np.where(whole > 0, whole, np.inf)
-    return [sum(cofactors[i][j] * right[j] for j in range(axes)) / safe for i in range(axes)]
+    parts = [sum(cofactors[i][j] * b[j] for j in range(axes)) / safe for i in range(axes)]
+    return np.stack(parts, axis=-1)
 
 
 def sampled_linearly(

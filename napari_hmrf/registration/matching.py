@@ -17,6 +17,8 @@ import numpy.typing as npt
 import scipy
 
 from napari_hmrf.compute.compile_cache.stage import PREPARING
+from napari_hmrf.compute.thread import compute_thread
+from napari_hmrf.compute.workspace import clear_large
 from napari_hmrf.field.deformation import smallest_determinant
 from napari_hmrf.field.neighbours import in_elements
 from napari_hmrf.registration.image_data import (
@@ -36,7 +38,7 @@ from napari_hmrf.solver.data_term import combined_data
 from napari_hmrf.solver.loads import Loads
 from napari_hmrf.solver.optimizers import Monitor, Multigrid
 from napari_hmrf.solver.priors import ElasticPrior
-from napari_hmrf.solver.problem import Problem
+from napari_hmrf.solver.problem import Problem, variant_of
 from napari_hmrf.solver.solution import Solution
 from napari_hmrf.solver.solve import CancelFlag, Progress, solve, stop_if_cancelled
 from napari_hmrf.solver.uncertain_landmarks import Landmarks, corners_of
@@ -149,8 +151,8 @@ def match(
     Parameters
     ----------
     problem : Problem
-        Tissue with its constraints, loads and landmarks. A precision of the problem has no effect
-        on levels with larger pixels.
+        Tissue with its constraints, loads and landmarks (`without_placeholder`). A precision of the
+        problem has no effect on levels with larger pixels.
     prior : ElasticPrior
     images : Images
     unit : float
@@ -197,6 +199,8 @@ def match(
         for number in range(count):
             last = size == 1 and number == count - 1
             report.begin(size, number)
+            solution = data = None  # frees memory, as does the next line: no model is used again
+            compute_thread.result_of(clear_large, "freeing memory")
             data = pair.linear(displacement, weight)
             tolerance = _LAST_TOLERANCE if last else _TOLERANCE
             step = _StepSolver(base, nu, unit, tolerance, report.within, cancel)
@@ -211,6 +215,8 @@ def match(
                 show(solution, history[-1])
             checkpoint()
     assert displacement is not None
+    assert solution is not None
+    assert data is not None
     _, before = pair.agreement(np.zeros_like(displacement))
     after = pair.agreement(displacement)
     return Match(solution, data, before, *after, tuple(history), relation)
@@ -258,13 +264,15 @@ def placeholder(tissue: BoolArray, unit: float = 1.0) -> FloatArray:
     return diagonal[..., None] * np.eye(tissue.ndim, dtype=np.float32)
 
 
-def _own_precision(problem: Problem, unit: float) -> npt.NDArray[np.float64] | None:
-    """Return the precision of a problem without placeholders; None if it has no other precision."""
+def without_placeholder(problem: Problem, unit: float = 1.0) -> Problem:
+    """Return a validated problem without the precision that stands for that of the images."""
     precision = problem.precision
     if precision is None:
-        return None
-    own = np.abs(precision).max(axis=(-2, -1)) > 2 * unit * _PLACEHOLDER
-    return np.where(own[..., None, None], precision, 0) if own.any() else None
+        return problem
+    # The placeholder is diagonal, so the largest component of other tensors is on the diagonal.
+    own = np.einsum("...ii->...i", precision).max(axis=-1) > 2 * unit * _PLACEHOLDER
+    rest = np.where(own[..., None, None], precision, 0) if own.any() else None
+    return variant_of(problem, precision=rest)
 
 
 def schedule(shape: Sequence[int], relation: Relation = "same") -> tuple[tuple[int, int], ...]:
@@ -335,7 +343,6 @@ class _StepSolver:
         cancel: CancelFlag | None,
     ) -> None:
         self._base, self._prior, self._unit = base, prior, unit
-        self._own = _own_precision(base, unit)
         self._optimizer = Multigrid(tolerance)
         self._progress, self._cancel = progress, cancel
         self.least_jacobian = 1.0
@@ -359,8 +366,7 @@ class _StepSolver:
                 break
             # A wider region each time: the pull that crushes tissue may come from farther away.
             around = scipy.ndimage.binary_dilation(crushed, iterations=2 ** (repeat + 1))
-            factor = np.where(around, np.float32(_WEAKER), np.float32(1))[..., None, None]
-            data = data._replace(precision=data.precision * factor)
+            data = data.weakened(around, _WEAKER)
         if (least <= 0).any():
             solution = self._shortened(solution, before)
             least = self._determinants(solution.displacement)
@@ -370,8 +376,8 @@ class _StepSolver:
     def _solve(self, data: LinearImages) -> Solution:
         base = self._base
         observed, precision = combined_data(
-            (base.observed, self._own),
-            (data.observed, self._unit * data.precision),
+            (base.observed, base.precision),
+            (data.observed, data.precision if self._unit == 1 else self._unit * data.precision),
             base.known,
         )
         problem = Problem(
@@ -443,7 +449,7 @@ def _on_level(problem: Problem, size: int) -> Problem:
             for each, scale in ((loads.growth, 1.0), (loads.force, float(size) ** axes))
         )
         loads = Loads(growth=growth, force=force)
-    return Problem(
+    level = Problem(
         observed=problem.observed[every],
         confidence=problem.confidence[every],
         stiffness=m,
@@ -452,6 +458,7 @@ def _on_level(problem: Problem, size: int) -> Problem:
         precision=placeholder(m > 0),
         landmarks=_landmarks_on_level(problem.landmarks, m, size),
     )
+    return without_placeholder(level)
 
 
 def _landmarks_on_level(

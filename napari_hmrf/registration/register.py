@@ -21,7 +21,14 @@ from napari_hmrf.field.warp import Spacing
 from napari_hmrf.real_arrays import as_mask, as_numbers, checked_spacing
 from napari_hmrf.registration.alignment import align, matrix_in_pixels
 from napari_hmrf.registration.image_data import BoolArray, FloatArray, Images, Relation
-from napari_hmrf.registration.matching import SIMILARITIES, Match, Show, match, placeholder
+from napari_hmrf.registration.matching import (
+    SIMILARITIES,
+    Match,
+    Show,
+    match,
+    placeholder,
+    without_placeholder,
+)
 from napari_hmrf.registration.missing_tissue import around_missing, missing_tissue
 from napari_hmrf.registration.result import Registration
 from napari_hmrf.solver.optimizers import Monitor
@@ -163,19 +170,21 @@ def register(
         warnings.warn(note, NoteWarning, stacklevel=2)
     images = on_grid(first, second, counted, sizes, own_sizes, matrix)
     check_contrast(images)
+    unit = typical_stiffness(m)
     problem = Problem(
         observed=np.zeros((*m.shape, axes), np.float32),
         confidence=np.zeros((*m.shape, axes), np.float32),
         stiffness=m,
         spacing=sizes,
-        precision=placeholder(m > 0, typical_stiffness(m)),
+        precision=placeholder(m > 0, unit),
         landmarks=landmarks,
     )
+    problem = without_placeholder(problem, unit)
     return registered(
         problem,
         ElasticPrior(0.0),
         images,
-        unit=typical_stiffness(m),
+        unit=unit,
         matrix=matrix,
         moving_spacing=own_sizes,
         smoothness=smoothness,
@@ -259,7 +268,9 @@ def registered(
         if region is not None and region.any():
             around = around_missing(region, found.solution.displacement, problem.spacing)
             again = images._replace(counted=(fixed & ~around.fixed, moving & ~around.moving))
-            found = matched(again, (found.relation,), (0.5, 1.0), "without missing tissue: ")
+            relation = found.relation
+            del around, found  # frees memory
+            found = matched(again, (relation,), (0.5, 1.0), "without missing tissue: ")
             # Where tissue no longer follows a wrong structure, its edge is found more exactly.
             if missing is None and (nearer := missing_in(found)).any():
                 region = nearer

@@ -17,8 +17,9 @@ from napari_hmrf.registration.alignment import matrix_in_pixels
 from napari_hmrf.registration.image_data import Relation
 from napari_hmrf.registration.matching import Step
 from napari_hmrf.solver.priors import ElasticPrior
+from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solution import Solution
-from napari_hmrf.solver.uncertain_landmarks import Landmarks
+from napari_hmrf.solver.uncertain_landmarks import Landmarks, typical_stiffness
 from napari_hmrf.study.measured_motion import MeasuredMotion
 from napari_hmrf.study.study import Motion
 from napari_hmrf.tissue.drawing import Drawing
@@ -164,6 +165,21 @@ class Registration:
         resampled[outside] = fill
         return resampled
 
+    @property
+    def problem(self) -> Problem:
+        """Tissue that the images and the landmarks observe, without other constraints."""
+        here = self.solution
+        assert here.elasticity is not None
+        m = here.elasticity.stiffness
+        return Problem(
+            observed=self.observed,
+            confidence=np.zeros_like(self.observed),
+            stiffness=m,
+            spacing=here.spacing,
+            precision=np.float32(typical_stiffness(m)) * self.precision,
+            landmarks=self.landmarks,
+        )
+
     def motion(self) -> Motion:
         """Return the motion of a study that moves the tissue as the images and landmarks do.
 
@@ -174,7 +190,21 @@ class Registration:
         if marks is not None:
             sd = marks.sd.reshape(len(marks.points), -1)[:, 0]
             drawing = Drawing.from_landmarks(marks.points, marks.targets, radius=1.0, sd=sd)
-        return Motion(measured=MeasuredMotion(self.observed, self.precision), drawing=drawing)
+        measured = MeasuredMotion(self.observed, self.precision, self.record)
+        return Motion(measured=measured, drawing=drawing)
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """Record of the registration for a study, in JSON types."""
+        return {
+            "matrix": self.matrix.tolist(),
+            "before": self.similarity_before,
+            "similarity": self.similarity,
+            "relation": self.relation,
+            "missing sites": 0 if self.missing is None else int(self.missing.sum()),
+            "residual": self.residual,
+            "sd": self.sd,
+        }
 
     def _in_moving(self, pixels: Float64Array) -> Float64Array:
         """Convert positions in pixels of the fixed image to pixels of the moving image."""

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.registration.alignment import Kind, align
 from napari_hmrf.registration.image_data import BoolArray, FloatArray
-from napari_hmrf.registration.matching import Show, placeholder
+from napari_hmrf.registration.matching import Show, placeholder, without_placeholder
 from napari_hmrf.registration.register import check_contrast, on_grid, registered
 from napari_hmrf.registration.result import Registration
 from napari_hmrf.solver.priors import ElasticPrior
@@ -129,7 +129,7 @@ def register_study(
     with study.naming():
         check_contrast(images)
         found = registered(
-            statement.problem,
+            without_placeholder(statement.problem, ground.typical_stiffness),
             prior,
             images,
             unit=ground.typical_stiffness,
@@ -141,17 +141,7 @@ def register_study(
             cancel=cancel,
             show=show,
         )
-    record = {
-        "second image": second.name,
-        "alignment": alignment or "",
-        "matrix": found.matrix.tolist(),
-        "before": found.similarity_before,
-        "similarity": found.similarity,
-        "relation": found.relation,
-        "missing sites": 0 if found.missing is None else int(found.missing.sum()),
-        "residual": found.residual,
-        "sd": found.sd,
-    }
+    record = {"second image": second.name, "alignment": alignment or ""} | found.record
     held = study.motion.unmeasured.hold_edge
     measured = MeasuredMotion(found.observed, found.precision, record, frees_edge=held)
     done = replace(study, motion=replace(free, measured=measured))

@@ -316,7 +316,7 @@ class DataTerm(NamedTuple):
 _packed: Kept[tuple[weakref.ref[Any], weakref.ref[Any], float]] = Kept()
 
 
-def _weights_of(precision: Float64Array, unit: float) -> Planes:
+def _weights_of(precision: npt.NDArray[np.floating], unit: float) -> Planes:
     """Return a precision as packed planes; those of the same array are computed only once."""
     if _packed.value is not None:
         known, made, its_unit = _packed.value
@@ -360,6 +360,8 @@ def combined_data(
         Components with a confidence. Further observations of these sites are ignored.
     """
     (y, first), (z, second) = one, other
+    if first is None and not known.any():
+        return z, second
     adds = np.asarray(second.any(axis=(-2, -1)) & ~known.any(axis=-1))
     observed = np.where(adds[..., None], z, y)
     if first is None:

@@ -14,7 +14,7 @@ from napari_hmrf.compute.workspace import Kept
 from napari_hmrf.errors import ProblemError
 from napari_hmrf.real_arrays import are_equal, as_numbers, check_finite, first_index
 
-Float64Array = npt.NDArray[np.float64]
+Tensors = npt.NDArray[np.floating]
 
 #: Largest precision, in the unit of stiffness times length^(n - 2) of a pixel, relative to the
 #: stiffest tissue. An observation that is more certain should be prescribed.
@@ -28,13 +28,13 @@ _BLOCK_SIZE = 16384
 _ROUNDING = 1e-5
 
 
-def checked_precision(
-    precision: npt.ArrayLike, tissue: npt.NDArray[np.bool_]
-) -> Float64Array | None:
+def checked_precision(precision: npt.ArrayLike, tissue: npt.NDArray[np.bool_]) -> Tensors | None:
     """Return the tensor at each site, shape (H, W, 2, 2) or (D, H, W, 3, 3), 0 in void.
 
-    The tensors have double precision: a tensor ``k n n^T`` rounded to single precision would also
-    observe the other components, with a precision of about 1e-7 k.
+    The tensors have double precision, unless they were given in single precision: a tensor
+    ``k n n^T`` that is rounded would also observe the other components, with a precision of about
+    1e-7 k. An array in single or double precision that is read-only and owns its data is not
+    copied.
 
     Parameters
     ----------
@@ -57,9 +57,11 @@ def checked_precision(
     kept = _tensors.value
     last = None if kept is None else kept()
     if last is not None and are_equal(last, numbers) and not last[~tissue].any():
-        known: Float64Array = last  # checked already
+        known: Tensors = last  # checked already
         return known
-    given = np.array(numbers, dtype=np.float64)
+    kind = np.float32 if numbers.dtype == np.float32 else np.float64
+    is_frozen = numbers.dtype == kind and numbers.flags.owndata and not numbers.flags.writeable
+    given: Tensors = numbers if is_frozen else np.array(numbers, dtype=kind)
     check_finite("precision", given)
     grid, axes = tissue.shape, tissue.ndim
     shapes = ((), grid, (*grid, axes), (*grid, axes, axes))
@@ -69,16 +71,20 @@ def checked_precision(
             f"has shape {given.shape}, but stiffness has shape {grid}. Pass one number, or an "
             f"array of shape {grid}, {(*grid, axes)} (diagonal) or {(*grid, axes, axes)} (tensor).",
         )
-    tensor = given if given.ndim == axes + 2 else np.zeros((*grid, axes, axes))
+    tensor: Tensors = given if given.ndim == axes + 2 else np.zeros((*grid, axes, axes), kind)
     if tensor is not given:
         for axis in range(axes):
             tensor[..., axis, axis] = given[..., axis] if given.ndim == axes + 1 else given
     step = max(1, _BLOCK_SIZE // math.prod(grid[1:]))
     for begin in range(0, grid[0], step):
         block = slice(begin, begin + step)
-        part = tensor[block]
+        part = tensor[block].astype(np.float64)
         part[~tissue[block]] = 0
         _check_tensors(part, begin)
+        if (part != tensor[block]).any():
+            if not tensor.flags.writeable:
+                tensor = tensor.copy()
+            tensor[block] = part
     if not tensor.any():
         return None
     if last is not None and are_equal(last, tensor):
@@ -88,7 +94,7 @@ def checked_precision(
     return tensor
 
 
-def _check_tensors(tensors: Float64Array, begin: int) -> None:
+def _check_tensors(tensors: Tensors, begin: int) -> None:
     """Make tensors symmetric in place, and raise an error if they are asymmetric or indefinite.
 
     Differences up to rounding are accepted.
@@ -127,7 +133,7 @@ def _index_of(mask: npt.NDArray[np.bool_], begin: int) -> tuple[int, ...]:
     return first + begin, *others
 
 
-def _is_indefinite(tensors: Float64Array, size: Float64Array) -> npt.NDArray[np.bool_]:
+def _is_indefinite(tensors: Tensors, size: Tensors) -> npt.NDArray[np.bool_]:
     """Return a mask of tensors with a negative principal minor beyond rounding.
 
     Parameters

@@ -164,7 +164,7 @@ class Problem:
     stiffness: FloatArray
     spacing: tuple[float, ...]
     loads: Loads | None
-    precision: npt.NDArray[np.float64] | None
+    precision: npt.NDArray[np.floating] | None
     landmarks: Landmarks | None
     sliding: SlidingParts | None
 
@@ -603,7 +603,7 @@ def _check_stiffness_unit(given: npt.ArrayLike, m: FloatArray) -> None:
 
 
 def _check_precision(
-    weight: npt.NDArray[np.float64], m: FloatArray, pixel: tuple[float, ...]
+    weight: npt.NDArray[np.floating], m: FloatArray, pixel: tuple[float, ...]
 ) -> None:
     """Raise an error for a precision so large that the observation should be prescribed."""
     stiffest = float(m.max(where=np.isfinite(m), initial=0.0)) or 1.0

@@ -104,7 +104,7 @@ class HeldTissue(NamedTuple):
     tissue: npt.NDArray[np.bool_]
     held: npt.NDArray[np.bool_]
     strength: float = 0.0
-    precision: Motions | None = None
+    precision: npt.NDArray[np.floating] | None = None
     landmarks: Landmarks | None = None
     rigid: npt.NDArray[np.bool_] | None = None
 

@@ -34,7 +34,7 @@ STUDY = 190
 #: Bytes per voxel of a moved image, while it is computed.
 WARP = 60
 #: Bytes per voxel of a registration of two volumes, from the images to the result.
-REGISTRATION = 850
+REGISTRATION = 430
 # Fraction of the free memory that a solve may use.
 _FREE = 0.9
 _GIB = 2.0**30

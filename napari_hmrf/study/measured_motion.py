@@ -72,6 +72,11 @@ class MeasuredMotion:
         """Shape of the displacement."""
         return self.displacement.shape
 
+    @property
+    def is_of_images(self) -> bool:
+        """True if the motion is that of a registration of two images."""
+        return "similarity" in self.record
+
     @cached_property
     def sites(self) -> npt.NDArray[np.bool_]:
         """Mask of the sites with a measurement, shape ([D,] H, W)."""

@@ -368,6 +368,23 @@ def test_problems_with_equal_tensors_share_them_unless_tissue_differs():
     )
 
 
+def test_tensors_stay_in_single_precision_and_are_copied_unless_nothing_can_change_them():
+    none, m = np.zeros((8, 8, 2)), np.ones((8, 8))
+    data = random_tensors(np.random.default_rng(1), (8, 8), 2).astype(np.float32)
+    data = (data + np.swapaxes(data, -2, -1)) / 2
+    assert (
+        Problem(observed=none, confidence=none, stiffness=m, precision=data).precision is not data
+    )
+    data.setflags(write=False)
+    known = Problem(observed=none, confidence=none, stiffness=m, precision=2 * data).precision
+    assert known.dtype == np.float32
+    assert Problem(observed=none, confidence=none, stiffness=m, precision=data).precision is data
+    m[2, 5] = 0
+    other = Problem(observed=none, confidence=none, stiffness=m, precision=data).precision
+    assert data[2, 5].any()
+    assert not other[2, 5].any()
+
+
 def test_further_data_add_to_other_data_but_not_to_what_is_held():
     y, z = np.zeros((1, 4, 2)), np.ones((1, 4, 2))
     first, second = (np.zeros((1, 4, 2, 2)) for _ in range(2))
