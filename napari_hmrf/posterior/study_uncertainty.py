@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
-from napari_hmrf.errors import LayerError
-from napari_hmrf.posterior.uncertainty import Uncertainty, checked_labels, uncertainty
+from napari_hmrf.errors import LayerError, ProblemError
+from napari_hmrf.posterior.image_errors import PATCH
+from napari_hmrf.posterior.uncertainty import (
+    Uncertainty,
+    checked_labels,
+    image_uncertainty,
+    uncertainty,
+)
 from napari_hmrf.solver.priors import ElasticPrior
 from napari_hmrf.solver.problem import Problem
 from napari_hmrf.solver.solve import CancelFlag, Progress
@@ -31,13 +39,14 @@ def study_uncertainty(
 ) -> Uncertainty:
     """Estimate how sure the displacement of the tissue of a study is.
 
-    The scale of the prior is `Motion.typical_strain`. The result includes the mean displacement of
-    each label.
+    The scale of the prior is `Motion.typical_strain`, or after a registration that of held-out
+    images (`image_uncertainty`). The result includes the mean displacement of each label.
 
     Parameters
     ----------
     study : Study
-        Study with the elastic model, and without measured motion, doubted observations or a drift.
+        Study with the elastic model, and without doubted observations or a drift. A measured motion
+        must be that of a registration.
     n, patch, seed, backend, progress, cancel
         As for `uncertainty`.
     labels : array_like of int, shape (H, W) or (D, H, W), optional
@@ -99,21 +108,28 @@ def ground_uncertainty(
     study, problem = ground.study, stated.problem
     refuse_unknown(study, problem)
     assert isinstance(stated.prior, ElasticPrior)
-    scale = None  # landmarks have their own
-    if problem.landmarks is None:
-        scale = StrainScale(study.motion.typical_strain, stiffness=ground.typical_stiffness)
     image, sites = _labels_of(ground, stated) if labels is None else (labels, problem.tissue)
     image, sites = checked_labels(image, problem), sites if where is None else where
     # `uncertainty` ignores the label 0, which is a tissue of a study.
     shift = 1 - min(0, int(image.min(initial=0)))
     shifted = np.where(sites, image.astype(np.int64) + shift, 0)
-    found = uncertainty(
+    estimate: Callable[..., Uncertainty] = image_uncertainty
+    if study.motion.measured is None:
+        scale = None  # landmarks have their own
+        if problem.landmarks is None:
+            scale = StrainScale(study.motion.typical_strain, stiffness=ground.typical_stiffness)
+        estimate = partial(uncertainty, patch=patch, scale=scale)
+    elif patch is not None:
+        raise ProblemError(
+            "patch",
+            "has no effect after a registration, whose errors are known for patches of "
+            f"{PATCH} pixels. Leave it out.",
+        )
+    found = estimate(
         problem,
         stated.prior,
         n,
-        patch=patch,
         labels=shifted,
-        scale=scale,
         seed=seed,
         backend=backend,
         progress=progress,
@@ -129,13 +145,14 @@ def refuse_unknown(study: Study, problem: Problem) -> None:
     Raises
     ------
     ProblemError
-        If the study has a measured motion, another model, or parts that slide.
+        If the study has a measured motion of unknown origin, another model, or parts that slide.
     """
-    if study.motion.measured is not None:
+    measured = study.motion.measured
+    if measured is not None and not measured.is_of_images:
         raise LayerError(
             "measured motion",
-            "has no known precision: remove it (`measured=None`), or use landmarks with a standard "
-            "deviation.",
+            "has no known precision, because it is not that of a registration: remove it "
+            "(`measured=None`), or use landmarks with a standard deviation.",
         )
     refuse_model(study, "uncertainty")
     refuse_sliding_parts(study, problem, "uncertainty")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -16,6 +16,7 @@ import scipy
 
 from napari_hmrf.checks import Positive, Samples, Seed, Words, convert
 from napari_hmrf.errors import ProblemError
+from napari_hmrf.posterior.image_errors import PATCH, image_errors
 from napari_hmrf.posterior.noise import PosteriorNoise
 from napari_hmrf.posterior.sampling import Sampler, checked_prior, energy_of
 from napari_hmrf.posterior.tissue_box import TissueBox
@@ -36,6 +37,8 @@ _Count = Annotated[
 ]
 #: Side of a patch by default, relative to the longest side of the image.
 _PATCH = 0.05
+# Number of samples if only the error bars of labels are required.
+_FOR_LABELS = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,7 +278,7 @@ def uncertainty(
         sd, along = map(
             box.whole,
             _of_patches(
-                _Patches(box.problem, side),
+                _Patches.of_side(box.problem, side),
                 moved,
                 sampler,
                 n,
@@ -291,6 +294,93 @@ def uncertainty(
         found[label] = means.of(label)
     report(Monitor(f"{n} samples" if n else f"{len(found)} labels", 1.0))
     return Uncertainty(solution, sd, along, side, n, found)
+
+
+def image_uncertainty(
+    problem: Problem,
+    prior: Prior | None = None,
+    n: int = 30,
+    *,
+    labels: npt.ArrayLike | None = None,
+    seed: int = 0,
+    backend: str = "auto",
+    progress: Progress | None = None,
+    cancel: CancelFlag | None = None,
+) -> Uncertainty:
+    """Estimate how sure a displacement is that images observe, as after a registration.
+
+    Where the images show nothing, the error bars are longer. Held-out images determine their scale
+    (`image_errors`), which is known for patches of seven pixels. Errors are alike over larger
+    distances: the error bar of a label is the mean of those of its patches, and rather too long.
+
+    Parameters
+    ----------
+    problem : Problem
+        Tissue with the precision of images (`Registration.problem`).
+    prior, labels, seed, backend, progress, cancel
+        As for `uncertainty`.
+    n : int
+        Number of samples. 0 stands for 10, which suffice for labels.
+
+    Returns
+    -------
+    Uncertainty
+
+    Raises
+    ------
+    ArgumentError, ProblemError, Cancelled
+        As for `uncertainty`, or if the images show too little tissue.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from scipy import ndimage
+    >>> from napari_hmrf.posterior import image_uncertainty
+    >>> from napari_hmrf.registration import register
+    >>> before = ndimage.gaussian_filter(np.random.default_rng(0).random((64, 64)), 2)
+    >>> found = register(before, np.roll(before, 2, axis=1), spacing=1)
+    >>> bars = image_uncertainty(found.problem, found.prior)
+    >>> bars.along.shape
+    (64, 64)
+    """
+    check_arguments(problem=problem, prior=prior, backend=backend, progress=progress, cancel=cancel)
+    n, seed = convert(_Count, n, "n") or _FOR_LABELS, convert(Seed, seed, "seed")
+    numbers = None if labels is None else checked_labels(labels, problem)
+    if problem.precision is None:
+        raise ProblemError("precision", "is missing. Pass the problem of a registration.")
+    box = TissueBox.of(problem, checked_prior(problem, prior))
+    report = progress or (lambda _: None)
+    report(Monitor("prediction of held-out images", 0.0))
+    solution = box.solve(backend, cancel)
+    errors = image_errors(box.problem, box.prior, backend=backend, cancel=cancel)
+    operator = Operator(errors.problem, box.prior, backend)
+    energy = energy_of(errors.problem, errors.scale)
+    sampler = Sampler(operator, PosteriorNoise(operator.problem, box.prior, energy), seed, cancel)
+    sd, along = map(
+        box.whole,
+        _of_patches(
+            _Patches(box.problem.tissue, [PATCH] * len(problem.shape)),
+            solution.displacement[box.sites],
+            sampler,
+            n,
+            lambda number: report(Monitor(f"sample {number + 1} of {n}", (number + 1) / (n + 1))),
+        ),
+    )
+    found = {}
+    for label in _present(numbers, problem.tissue):
+        sites = (numbers == label) & problem.tissue
+        own, covariance = solution.displacement[sites], np.diag(sd[sites].mean(axis=0) ** 2)
+        mean, length = own.mean(axis=0, dtype=np.float64), np.linalg.norm(own, axis=-1).mean()
+        found[label] = MeanDisplacement(mean, covariance, float(length), float(along[sites].mean()))
+    report(Monitor(f"{n} samples", 1.0))
+    return Uncertainty(solution, sd, along, PATCH * problem.unit, n, found)
+
+
+def _present(numbers: npt.NDArray[Any] | None, tissue: npt.NDArray[np.bool_]) -> list[int]:
+    """Return the labels with tissue, in ascending order; 0 is no label."""
+    if numbers is None:
+        return []
+    return [int(number) for number in np.unique(numbers[(numbers != 0) & tissue])]
 
 
 def _of_patches(
@@ -335,15 +425,20 @@ def checked_labels(labels: npt.ArrayLike, problem: Problem) -> npt.NDArray[Any]:
 class _Patches:
     """Means over the tissue in a box around each site."""
 
-    def __init__(self, problem: Problem, side: float) -> None:
-        self._tissue = problem.tissue
+    def __init__(self, tissue: npt.NDArray[np.bool_], sizes: Sequence[int]) -> None:
+        self._tissue, self._sizes = tissue, sizes
+        self._share = self._smooth(tissue.astype(np.float32))
+
+    @classmethod
+    def of_side(cls, problem: Problem, side: float) -> _Patches:
+        """Return patches whose side is given in the unit of the spacing."""
         # The number of sites is odd, so that the box is centred. No box needs to be larger than one
         # that contains all sites from each of them.
-        self._sizes = [
+        sizes = [
             1 + 2 * min(math.floor(side / step / 2), count - 1)
             for step, count in zip(problem.spacing, problem.shape, strict=True)
         ]
-        self._share = self._smooth(problem.tissue.astype(np.float32))
+        return cls(problem.tissue, sizes)
 
     def _smooth(self, values: npt.NDArray[Any]) -> Float32Array:
         smooth = scipy.ndimage.uniform_filter(values, self._sizes, np.float32, mode="constant")
@@ -392,9 +487,8 @@ class _LabelMeans:
         self._numbers = np.zeros(tissue.shape, int) if numbers is None else numbers
         self._displacement, self._tissue = displacement, tissue
         self._response, self._energy = response, energy
-        present = np.unique(self._numbers[(self._numbers != 0) & tissue])
         #: Labels with tissue, in ascending order.
-        self.labels = [int(number) for number in present]
+        self.labels = _present(numbers, tissue)
 
     def of(self, label: int) -> MeanDisplacement:
         """Return the mean displacement of a label."""

@@ -14,6 +14,11 @@ T2-weighted MRI, and another nonlinear function of brightness.
 `missing` removes tissue of a head, or lets a tumour take its place and push the tissue around it,
 and measures errors within 12 mm of the missing tissue.
 
+`intervals` compares the errors of the truths of `known` with their error bars.
+
+`sizes` measures the time and the memory of a registration of a whole head, and of one with missing
+tissue, which is registered twice.
+
 `pairs` registers two pictures of neighbouring sections after the same affine map, and compares
 landmarks (``--files FIXED MOVING [FIXED.csv MOVING.csv]``): rows of number, x and y, or else
 features that are matched in both pictures as in `sections`.
@@ -34,7 +39,9 @@ import functools
 import importlib.util
 import math
 import tempfile
+import time
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -44,13 +51,14 @@ import numpy.typing as npt
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
-from benchmarks.clock import timed
+from benchmarks.clock import timed, with_memory
 from napari_hmrf import ElasticPrior, Multigrid, NeoHookeanPrior, Problem, solve, warp
 from napari_hmrf.data import head_phantom, phantom
 from napari_hmrf.field.deformation import smallest_determinant
 from napari_hmrf.fields import count_folds, green_lagrange_strain, rmsd
 from napari_hmrf.io.images import read_image
 from napari_hmrf.loads import Loads
+from napari_hmrf.posterior import image_uncertainty
 from napari_hmrf.registration import register
 from napari_hmrf.registration.alignment import align
 from validation.oracles.elasticity import direct_solution
@@ -815,6 +823,117 @@ def lacking(given: Variant) -> dict[str, Any]:
         "masks": error(masked.displacement),
         "all": error(compared.displacement),
     }
+
+
+# Error bars.
+
+#: Number of samples of the error bars.
+_SAMPLES = 16
+
+
+def _interval_cases(options: Options) -> Iterator[tuple[str, Variant]]:
+    yield from variants(TRUTHS, options)
+
+
+def _interval_rows(results: Results) -> Iterator[list[Any]]:
+    rows = list(results.values())
+    for truth in (*dict.fromkeys(row["truth"] for row in rows), "all"):
+        own = [row for row in rows if truth in ("all", row["truth"])]
+        shares = (np.mean([row[name] for row in own], axis=0) for name in ("patches", "sites"))
+        yield [
+            truth,
+            ", ".join(dict.fromkeys(str(row["seed"]) for row in own)),
+            *(f"{100 * share:.1f}" for both in shares for share in both),
+            f"{np.mean([row['sd'] for row in own]):.2f}",
+            f"{np.mean([row['error'] for row in own]):.2f}",
+            f"{np.mean([row['seconds'] for row in own]):.0f}",
+        ]
+
+
+def _interval_targets(results: Results) -> Iterator[Target]:
+    shares = np.mean([row["patches"] for row in results.values()], axis=0)
+    for share, wanted in zip(100 * shares, (68, 95), strict=True):
+        yield Target(f"points between {wanted} % and the patches found", abs(share - wanted), 5)
+
+
+@study(
+    "registration.intervals",
+    _interval_cases,
+    (
+        "truth", "seeds", "68 % of patches", "95 %", "68 % of sites", "95 %", "mean sd (mm)",
+        "root mean square error (mm)", "time (s)",
+    ),
+    rows=_interval_rows,
+    targets=_interval_targets,
+    page=_PAGE,
+)  # fmt: skip
+def intervals_of_errors(given: Variant) -> dict[str, Any]:
+    """Compare the errors of patches and of sites with their error bars."""
+    head = given.head
+    made = case(head, given.kind, given.seed)
+    found = register(made.fixed, made.moving, spacing=head.spacing)
+    begun = time.perf_counter()
+    bars = image_uncertainty(found.problem, found.prior, _SAMPLES)
+    seconds = time.perf_counter() - begun
+    away = found.displacement - made.displacement
+    # A patch has an odd number of voxels along each axis.
+    sides = [1 + 2 * int(bars.patch / side / 2) for side in head.spacing]
+    mean = np.stack(
+        [ndimage.uniform_filter(along, sides) for along in np.moveaxis(away, -1, 0)], -1
+    )
+
+    def shares(error: Array) -> list[float]:
+        units = np.abs(error / bars.sd)[head.brain]
+        return [float((units < limit).mean()) for limit in (1.0, 1.96)]
+
+    return {
+        "truth": given.kind,
+        "seed": given.seed,
+        "patches": shares(mean),
+        "sites": shares(away),
+        "sd": float(bars.sd[head.brain].mean()),
+        "error": float(np.sqrt((mean[head.brain] ** 2).mean())),
+        "seconds": seconds,
+    }
+
+
+# Time and memory.
+
+
+def _size_cases(options: Options) -> Iterator[tuple[str, Variant]]:
+    """Yield cases with missing tissue on voxels of each size in mm."""
+    for voxel in options.sizes or options.choose((2.0, 1.0), (8.0,)):
+        head = head_of(replace(options, sizes=(voxel,)))
+        for kind in ("whole", "resection"):
+            yield f"{kind}, voxels of {voxel:g} mm", Variant(kind, 2, head)
+
+
+@study(
+    "registration.sizes",
+    _size_cases,
+    ("tissue", "voxels", "passes", "time (s)", "peak memory (GiB)", "mean error (mm)"),
+    page=_PAGE,
+)
+def sizes(given: Variant) -> list[str]:
+    """Measure the time and the memory of registrations with and without missing tissue."""
+    head = given.head
+    if given.kind == "whole":
+        (fixed, moving, truth), counted = case(head, "splines", given.seed), head.brain
+    else:
+        (fixed, moving, truth), gone, _ = without_tissue(given)
+        counted = head.brain & ~gone
+    begun = time.perf_counter()
+    found, used = with_memory(lambda: register(fixed, moving, spacing=head.spacing))
+    seconds = time.perf_counter() - begun
+    away = np.linalg.norm(found.displacement - truth, axis=-1)[counted]
+    return [
+        given.kind,
+        " x ".join(map(str, fixed.shape)),
+        "1" if found.missing is None else "2",
+        f"{seconds:.1f}",
+        f"{1e6 * used / 2**30:.2f}",
+        f"{away.mean():.2f}",
+    ]
 
 
 # Landmarks of two pictures.
