@@ -503,15 +503,9 @@ def _study_of(case: RegistrationCase, pair: _Pair, found: Registration) -> Study
     """Return a study that moves tissue as the registration does."""
     motion = found.motion()
     assert motion.measured is not None
-    record = {
-        "second image": stem_of(case.moving),
-        "alignment": case.alignment or "",
-        "matrix": found.matrix.tolist(),
-        "before": found.similarity_before,
-        "similarity": found.similarity,
-    }
+    origin = {"second image": stem_of(case.moving), "alignment": case.alignment or ""}
     # Once the registration is removed, the edge is held, as that of a new image.
-    measured = replace(motion.measured, record=record, frees_edge=True)
+    measured = replace(motion.measured, record=origin | found.record, frees_edge=True)
     motion = replace(motion, measured=measured)
     names = {**pair.study.names, "registration": case.moving.name}
     return replace(pair.study, motion=motion, prior=found.prior, names=names)

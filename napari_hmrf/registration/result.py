@@ -190,7 +190,7 @@ class Registration:
         if marks is not None:
             sd = marks.sd.reshape(len(marks.points), -1)[:, 0]
             drawing = Drawing.from_landmarks(marks.points, marks.targets, radius=1.0, sd=sd)
-        measured = MeasuredMotion(self.observed, self.precision, self.record)
+        measured = MeasuredMotion(self.observed, self.precision, self.record, self.missing)
         return Motion(measured=measured, drawing=drawing)
 
     @property

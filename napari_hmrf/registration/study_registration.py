@@ -143,6 +143,8 @@ def register_study(
         )
     record = {"second image": second.name, "alignment": alignment or ""} | found.record
     held = study.motion.unmeasured.hold_edge
-    measured = MeasuredMotion(found.observed, found.precision, record, frees_edge=held)
+    measured = MeasuredMotion(
+        found.observed, found.precision, record, found.missing, frees_edge=held
+    )
     done = replace(study, motion=replace(free, measured=measured))
     return RegisteredStudy(done, found)

@@ -81,7 +81,9 @@ class CoarseGrid:
         axes = measured.displacement.ndim - 1
         every = (slice(None, None, self.step),) * axes
         precision = np.float32(self.step**axes) * measured.precision[every]
-        return replace(measured, displacement=measured.displacement[every], precision=precision)
+        missing = None if measured.missing is None else measured.missing[every]
+        displacement = measured.displacement[every]
+        return replace(measured, displacement=displacement, precision=precision, missing=missing)
 
     def _place(self, place: Frame | None) -> Frame | None:
         """Return the place of this grid, given the place of the full grid."""

@@ -14,6 +14,7 @@ from napari_hmrf.errors import ProblemError
 from napari_hmrf.real_arrays import as_float32, check_finite
 
 FloatArray = npt.NDArray[np.float32]
+BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +34,8 @@ class MeasuredMotion:
         `Problem`.
     record : mapping
         Origin of the measurement, in JSON types, such as the name of the second image.
+    missing : ndarray of bool, shape ([D,] H, W), optional
+        Mask of the tissue without counterpart in the second image, which has no effect.
     frees_edge : bool
         True if the measurement took the place of a held outer edge, which is held again once the
         measurement is removed; see `Motion.unmeasured`.
@@ -46,6 +49,7 @@ class MeasuredMotion:
     displacement: FloatArray
     precision: FloatArray
     record: Mapping[str, Any] = field(default_factory=dict)
+    missing: BoolArray | None = None
     frees_edge: bool = False
 
     def __post_init__(self) -> None:
@@ -61,6 +65,13 @@ class MeasuredMotion:
                 "measured motion",
                 f"has displacements of shape {self.displacement.shape} and a precision of shape "
                 f"{self.precision.shape}. Pass shapes ([D,] H, W, n) and ([D,] H, W, n, n).",
+            )
+
+        if self.missing is not None and self.missing.shape != self.displacement.shape[:-1]:
+            raise ProblemError(
+                "measured motion",
+                f"has missing tissue of shape {self.missing.shape}, but displacements of shape "
+                f"{self.displacement.shape}. Pass a mask of the shape ([D,] H, W).",
             )
 
     def __repr__(self) -> str:

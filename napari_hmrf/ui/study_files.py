@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from napari.layers import Layer
 from psygnal import Signal
 from qtpy.QtWidgets import QFileDialog
 
@@ -16,6 +17,7 @@ from napari_hmrf.errors import HmrfError
 from napari_hmrf.io.study_file import SUFFIX, read_saved, write_study
 from napari_hmrf.layers.image_choice import is_same_image
 from napari_hmrf.layers.landmarks import read_landmarks
+from napari_hmrf.layers.missing_layer import missing_layer
 from napari_hmrf.layers.pixel_copy import LayerCopies
 from napari_hmrf.layers.read import study_layers
 from napari_hmrf.layers.second_picture import second_picture
@@ -206,6 +208,10 @@ class StudyFiles:
                 controller.engine.deliver_again(replace(shown, motion=motion), solution)
             if measured is not None:
                 self._session.set_measured(measured)
+                if measured.missing is not None:
+                    place, name = study.grid.known_place, layers["image"].name
+                    made = Layer.create(*missing_layer(measured.missing, place, name))
+                    written.add(made, select=False)
             controller.refresh()
             controller.pointer.set_drawing(drawing, "")
         if (brightness := controller.curve_layer.layer) is not None and study.moves:

@@ -81,7 +81,7 @@ def test_a_press_moves_the_tissue_to_the_second_image(window, wait_for):
     assert "The registration was removed" in dock.status
 
 
-def test_tissue_without_counterpart_is_shown_and_can_be_corrected(frame, wait_for):
+def test_tissue_without_counterpart_is_shown_corrected_and_saved(frame, wait_for, tmp_path):
     shape = (160, 160)
     before, truth = ndimage.gaussian_filter(texture(3, shape), 2), bend(shape, 2.0)
     far = np.hypot(*(np.indices(shape) - 80))
@@ -103,6 +103,20 @@ def test_tissue_without_counterpart_is_shown_and_can_be_corrected(frame, wait_fo
     wait_for(lambda: not dock.busy and dock.solution.displacement is not first)
     assert not np.allclose(dock.solution.displacement, first, atol=0.01)
     assert (shown.data == (far < 40)).all()
+    path = dock.save_study(tmp_path / "registered")
+    viewer.layers.clear()
+    dock.open_study(path)
+    wait_for(lambda: not dock.busy and dock.solution is not None)
+    again = viewer.layers["before without counterpart"]
+    assert (again.data == (far < 40)).all()
+    assert np.allclose(again.scale, 0.5)
+
+
+def test_a_registration_has_error_bars(window, wait_for):
+    dock, _ = window()
+    register(dock, wait_for)
+    dock.overlay = "uncertainty"
+    wait_for(lambda: not dock.busy and "One more landmark helps most there" in dock.status)
 
 
 def test_a_pull_corrects_the_registration(window, wait_for):
