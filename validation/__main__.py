@@ -23,6 +23,7 @@ MODULES = {
     "landmarks": "validation.studies.landmarks",
     "sections": "validation.studies.landmarks",
     "registration": "validation.studies.registration",
+    "real": "validation.studies.real_pairs",
     "uncertainty": "validation.studies.uncertainty",
     "hard": "validation.studies.hard",
     "hardware": "validation.studies.hardware",

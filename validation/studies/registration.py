@@ -77,7 +77,7 @@ from validation.study import (
 Array = npt.NDArray[Any]
 Register = Callable[[Array, Array, tuple[float, ...]], Array]
 _PAGE = "registration.md"
-_OURS = "`register`"
+OURS = "`register`"
 
 # Programs.
 
@@ -261,7 +261,8 @@ def without_bias(image: Array) -> Array:
     return sitk.GetArrayFromImage(whole / bias) - _POSITIVE
 
 
-def _ours(fixed: Array, moving: Array, spacing: tuple[float, ...], m: Array | None = None) -> Array:
+def ours(fixed: Array, moving: Array, spacing: tuple[float, ...], m: Array | None = None) -> Array:
+    """Return the displacement by `register`."""
     return register(fixed, moving, spacing=spacing, stiffness=m).displacement
 
 
@@ -280,9 +281,9 @@ def programs(
     m : ndarray, optional
         Stiffness of tissue, with which `register` runs once more if it is named.
     """
-    every = {_OURS: Program(_ours)}
+    every = {OURS: Program(ours)}
     if m is not None:
-        every["stiffness in `register`"] = Program(partial(_ours, m=m), slow=True)
+        every["stiffness in `register`"] = Program(partial(ours, m=m), slow=True)
     for sigma in sigmas:
         run: Register = partial(demons, sigma=sigma)
         every[f"demons, width {sigma:g}"] = Program(run, "SimpleITK", "SimpleITK")
@@ -296,11 +297,22 @@ def programs(
     ):
         run = partial(syn, **settings)
         every[f"SyN, {name}"] = Program(run, "ants", "antspyx", unbiased=True, slow=slow)
+    named = {
+        name: any(name.strip("`").startswith(word) for word in options.methods) for name in every
+    }
+    return available(
+        {
+            name: program
+            for name, program in every.items()
+            if (named[name] if options.methods else not program.slow)
+        }
+    )
+
+
+def available(programs: dict[str, Program]) -> dict[str, Program]:
+    """Return the programs that are installed, and print the others."""
     chosen = {}
-    for name, program in every.items():
-        named = any(name.strip("`").startswith(word) for word in options.methods)
-        if not (named if options.methods else not program.slow):
-            continue
+    for name, program in programs.items():
         if importlib.util.find_spec(program.module) is None:
             print(f"{name} is skipped: it requires `pip install {program.package}`")
         else:
@@ -646,7 +658,7 @@ def _ratio_rows(results: Results) -> Iterator[list[Any]]:
         for row in rows:
             if row["truth"] == truth and row["method"] != "unmoved":
                 errors.setdefault(row["method"], {})[row["seed"]] = row["mean"]
-        ours = errors.pop(_OURS, {})
+        ours = errors.pop(OURS, {})
         others = {name: found for name, found in errors.items() if found.keys() == ours.keys()}
         if others:
             best = min(others, key=lambda name: sum(others[name].values()))
@@ -969,10 +981,10 @@ def pair_cases(options: Options) -> Iterator[tuple[str, Pair]]:
     print(f"{options.files[0].name}, {options.files[1].name}: {len(at)} landmarks")
     runs: dict[str, Callable[[], Array]] = {
         "affine map": lambda: np.zeros_like(ours.displacement),
-        _OURS: lambda: register(fixed, moving, spacing=1, initial="affine").displacement,
+        OURS: lambda: register(fixed, moving, spacing=1, initial="affine").displacement,
     }
     for name, program in programs(options, ("40 px", "80 px"), (1.5, 3.0)).items():
-        if name != _OURS:
+        if name != OURS:
             runs[name] = partial(program.register, fixed, aligned, (1.0, 1.0))
     for name, run in runs.items():
         yield name, Pair(ours.matrix, at, to, run)
@@ -995,11 +1007,11 @@ def _pair_tables(results: Results) -> Iterator[Table]:
         )
         rows.append([name, *cells, f"{seconds:.1f}", folds])
     yield Table(("method", "median (px)", "rms (px)", "time (s)", "folds"), lambda _: rows)
-    if _OURS not in results:
+    if OURS not in results:
         return
-    ours, differences = results[_OURS][0], []
+    ours, differences = results[OURS][0], []
     for name, (away, *_) in results.items():
-        if name != _OURS:
+        if name != OURS:
             both, cells = np.stack([ours, away], axis=-1), []
             drawn = np.random.default_rng(0).integers(len(ours), size=(2000, len(ours)))
             for statistic in (np.median, _rms):
