@@ -1,12 +1,11 @@
 """Registration of public pairs of real images beside other programs.
 
 `real.pairs` reads copies of public repositories of GitHub, each in a folder with its name, from the
-folder ``--files FOLDER``: Borda/BIRL, ntustison/MalfLabelingExample, stnava/ANTsTutorial and
-DeepRegNet/DeepReg. The pairs were named in a commit before the first run, and no setting was chosen
-on them. All programs receive the same images: the moving image on the grid of the fixed image,
-after the affine alignment of this package. Volumes of a prostate have no common position, and are
-scaled to the same box. The error is the mean distance of landmarks, or the mean distance between
-the surfaces of the labels of both images.
+folder ``--files FOLDER``; docs/validation/registration.md names them. The pairs were named in a
+commit before the first run, and no setting was chosen on them. All programs receive the same
+images: the moving image on the grid of the fixed image, after the affine alignment of this package.
+The error is the mean distance of landmarks, or the mean distance between the surfaces of the labels
+of both images.
 
 The settings of the other programs are those that their documentation recommends: elastix with its
 default B-splines, with correlation and with mutual information, with knots a 24th and a 12th of
@@ -16,6 +15,8 @@ SimpleITK after histogram matching. The best of them counts.
 
 from __future__ import annotations
 
+import ast
+import csv
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -48,7 +49,12 @@ _LEAST = 50
 _MEDIAN, _WORST = 1.0, 1.4
 _OASIS = "MalfLabelingExample/{}/OASIS-TRT-20-{}slice118.nii.gz"
 _SLAB = "ANTsTutorial/data/JLF/{}list{}.nii.gz"
-_PROSTATE = "DeepReg/data/test/nifti/paired/train/{}_{}/case{:06d}.nii.gz"
+_HEART = (
+    "P2-Cardiac-Motion/NN_segmentation/Datasets/patient{0:03}/patient{0:03}_frame{1:02}{2}.nii.gz"
+)
+_SKULL = "Cephalometric-Landmark-Detection-Using-Contemporary-DL/dataset/benchmark/{}"
+#: Number of pixels along the longest side above which pictures are halved.
+_LARGE = 1500
 
 
 class RealPair(NamedTuple):
@@ -61,15 +67,12 @@ class RealPair(NamedTuple):
         Files of the fixed and of the moving image.
     truth : tuple of str
         Files with landmarks (.csv) or labels of both images.
-    aligned : bool
-        True if the images are aligned; False if they are scaled to the same box.
     """
 
     kind: str
     name: str
     images: tuple[str, str]
     truth: tuple[str, str]
-    aligned: bool = True
 
 
 def _stained(name: str, folder: str, *files: str) -> RealPair:
@@ -105,13 +108,18 @@ def _slabs(one: int, other: int) -> RealPair:
     )
 
 
-def _prostate(number: int) -> RealPair:
-    """Return ultrasound and MRI of a prostate, with masks of structures (DeepReg)."""
-    files = (
-        _two(_PROSTATE, ("fixed", kind, number), ("moving", kind, number))
-        for kind in ("images", "labels")
-    )
-    return RealPair("ultrasound and MRI of a prostate", f"case {number}", *files, aligned=False)
+def _heart(number: int, end: int) -> RealPair:
+    """Return a heart at the end of diastole and of systole, with labels (ACDC)."""
+    images = _two(_HEART, (number, 1, ""), (number, end, ""))
+    truth = _two(_HEART, (number, 1, "_gt"), (number, end, "_gt"))
+    return RealPair("heart in diastole and systole", f"patient {number}", images, truth)
+
+
+def _skulls(one: int, other: int) -> RealPair:
+    """Return lateral X-rays of the skulls of two persons, with landmarks (ISBI 2015)."""
+    images = _two(_SKULL, (f"images/{one:03}.jpg",), (f"images/{other:03}.jpg",))
+    truth = _two(_SKULL, ("points.csv",), ("points.csv",))
+    return RealPair("X-rays of two skulls", f"persons {one} and {other}", images, truth)
 
 
 #: All pairs.
@@ -122,8 +130,9 @@ PAIRS = (
     _persons(3, 4),
     _slabs(1, 2),
     _slabs(3, 4),
-    _prostate(1),
-    _prostate(3),
+    _heart(5, 13),
+    _skulls(1, 10),
+    _skulls(3, 20),
 )
 
 
@@ -196,16 +205,9 @@ def _distance(one: Array, other: Array, spacing: tuple[float, ...]) -> float:
 def prepared(folder: Path, pair: RealPair) -> Prepared:
     """Read a pair, and bring its moving image and truth to the grid of the fixed image."""
     (fixed, sides), (moving, own_sides) = (_grey(folder / name) for name in pair.images)
-    if pair.aligned:
-        sizes = {"spacing": sides, "moving_spacing": own_sides}
-        masks = np.ones(fixed.shape, bool), np.ones(moving.shape, bool)
-        matrix = align("affine", fixed, moving, masks=masks, **sizes).matrix
-    else:
-        ratio = [
-            n * size / (m * side)
-            for n, size, m, side in zip(moving.shape, own_sides, fixed.shape, sides, strict=True)
-        ]
-        matrix = np.diag([*ratio, 1.0])
+    sizes = {"spacing": sides, "moving_spacing": own_sides}
+    masks = np.ones(fixed.shape, bool), np.ones(moving.shape, bool)
+    matrix = align("affine", fixed, moving, masks=masks, **sizes).matrix
     counted = np.ones(fixed.shape, bool), np.ones(moving.shape, bool)
     images = on_grid(fixed, moving, counted, sides, own_sides, matrix)
     axes = fixed.ndim
@@ -214,43 +216,54 @@ def prepared(folder: Path, pair: RealPair) -> Prepared:
     points = labels = None
     truth = [folder / name for name in pair.truth]
     if truth[0].suffix == ".csv":
-        here, there = (_landmarks(path) for path in truth)
+        here, there = (
+            _landmarks(path, folder / image) for path, image in zip(truth, pair.images, strict=True)
+        )
         both = sorted(set(here) & set(there))
         here, there = (np.array([each[number] for number in both]) for each in (here, there))
         points = here, np.linalg.solve(turn, (there - shift).T).T
     else:
-        one, other = (_masks(path) for path in truth)
-        if pair.aligned:
-            mapped = ndimage.affine_transform(other[0], turn, shift, fixed.shape, order=0)
-            labels = one[0].astype(int), mapped.astype(int)
-        else:
-            here, there = (
-                np.array([np.argwhere(mask > 0).mean(axis=0) for mask in masks])
-                for masks in (one, other)
-            )
-            points = here, np.linalg.solve(turn, (there - shift).T).T
+        one, other = (np.asarray(nibabel.load(path).dataobj) for path in truth)
+        mapped = ndimage.affine_transform(other, turn, shift, fixed.shape, order=0)
+        labels = one.astype(int), mapped.astype(int)
     return Prepared(images.fixed, images.moving, sides, points, labels)
 
 
 def _grey(path: Path) -> tuple[Array, tuple[float, ...]]:
     """Return the brightness of a picture or volume, and the size of its pixels."""
     if path.suffix == ".jpg":
-        return luminance(iio.imread(path)).astype(np.float32), (1.0, 1.0)
+        picture = np.asarray(iio.imread(path), np.float32)
+        grey = luminance(picture) if picture.ndim == 3 else picture
+        if _is_large(grey.shape):
+            rows, cols = (n // 2 * 2 for n in grey.shape)
+            grey = grey[:rows, :cols].reshape(rows // 2, 2, cols // 2, 2).mean(axis=(1, 3))
+        return grey.astype(np.float32), (1.0, 1.0)
     file = nibabel.load(path)
     pixels = np.asarray(file.dataobj, np.float32)
     return pixels, tuple(float(side) for side in file.header.get_zooms()[: pixels.ndim])
 
 
-def _landmarks(path: Path) -> dict[int, tuple[float, float]]:
-    """Return landmarks, (row, col) by number, from a table of number, x and y."""
-    rows = np.loadtxt(path, delimiter=",", skiprows=1)
-    return {int(number): (y, x) for number, x, y in rows}
+def _is_large(shape: tuple[int, ...]) -> bool:
+    return max(shape[:2]) > _LARGE
 
 
-def _masks(path: Path) -> list[Array]:
-    """Return the label image of a file, or the masks of a file with several, whose axis is last."""
-    pixels = np.asarray(nibabel.load(path).dataobj)
-    return list(np.moveaxis(pixels, -1, 0)) if pixels.ndim == 4 else [pixels]
+def _landmarks(path: Path, picture: Path) -> dict[int, tuple[float, float]]:
+    """Return the landmarks of a picture, (row, col) by number.
+
+    The table has rows of number, x and y, or a row for each picture.
+    """
+    with path.open(encoding="utf-8", newline="") as file:
+        head, *rows = csv.reader(file)
+    if head == ["document", "points"]:
+        known = ast.literal_eval(dict(rows)[picture.name])
+        points = {int(number): (at["y"], at["x"]) for number, at in known.items()}
+    else:
+        points = {int(number): (float(y), float(x)) for number, x, y in rows}
+    if _is_large(iio.improps(picture).shape):
+        return {
+            number: ((y + 0.5) / 2 - 0.5, (x + 0.5) / 2 - 0.5) for number, (y, x) in points.items()
+        }
+    return points
 
 
 def _programs(prepared: Prepared) -> dict[str, Program]:
