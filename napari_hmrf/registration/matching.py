@@ -142,6 +142,7 @@ def match(
     smoothness: float = 1.0,
     relations: Sequence[Relation] = RELATIONS,
     start: npt.NDArray[np.floating] | None = None,
+    finest: bool = True,
     progress: Progress | None = None,
     cancel: CancelFlag | None = None,
     show: Show | None = None,
@@ -164,6 +165,8 @@ def match(
     start : ndarray, shape (H, W, 2) or (D, H, W, 3), optional
         Displacement from which the iteration starts, on the finest level only; by default, the
         iteration starts at zero on the coarsest level.
+    finest : bool
+        False to leave out the finest level; the solution is then on the level before it.
     progress, cancel
         As in `solve`.
     show : callable, optional
@@ -186,12 +189,14 @@ def match(
     levels = schedule(problem.shape, relation)
     if start is not None:
         levels = levels[-1:]
+    if not finest:
+        levels = levels[:-1]
     report = _Report(problem.shape, levels, progress)
     history: list[Step] = []
     displacement, tissue = start, problem.tissue
     for size, count in levels:
         base, nu = _on_level(problem, size), _prior_on_level(prior, size)
-        displacement = _interpolated(displacement, tissue, base.shape, checkpoint)
+        displacement = interpolated(displacement, tissue, base.shape, checkpoint)
         tissue = base.tissue
         pair = ImageLevel(
             reduced_pair(images, size, checkpoint), base.spacing, checkpoint, relation
@@ -491,7 +496,7 @@ def _prior_on_level(prior: ElasticPrior, size: int) -> ElasticPrior:
     return replace(prior, poisson=prior.poisson[every])
 
 
-def _interpolated(
+def interpolated(
     displacement: npt.NDArray[np.floating] | None,
     tissue: BoolArray,
     shape: tuple[int, ...],

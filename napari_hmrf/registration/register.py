@@ -25,8 +25,11 @@ from napari_hmrf.registration.matching import (
     SIMILARITIES,
     Match,
     Show,
+    Step,
+    interpolated,
     match,
     placeholder,
+    schedule,
     without_placeholder,
 )
 from napari_hmrf.registration.missing_tissue import around_missing, missing_tissue
@@ -46,6 +49,8 @@ _SITES = 50_000
 _COUPLING = 6.0
 #: Factor of the variance, by number of axes, chosen on the same deformations as other settings.
 _NOISE = {2: 0.1, 3: 0.19}
+#: Part of the work on all levels but the finest.
+_ROUGH = 0.2
 
 
 def register(
@@ -235,13 +240,17 @@ def registered(
     """
     fixed, moving = images.counted
     first = images if missing is None else images._replace(counted=(fixed & ~missing, moving))
+    checkpoint = partial(stop_if_cancelled, cancel)
+    searches = missing is None and not compare_all
     once = compare_all and missing is None
 
     def matched(
         compared: Images,
         relations: Sequence[Relation],
-        passes: tuple[float, float],
+        part: tuple[float, float],
         note: str = "",
+        begin: npt.NDArray[np.floating] | None = start,
+        finest: bool = True,
     ) -> Match:
         return match(
             problem,
@@ -250,30 +259,43 @@ def registered(
             unit=unit,
             smoothness=smoothness,
             relations=relations,
-            start=start,
-            progress=_part(progress, passes, note),
+            start=begin,
+            finest=finest,
+            progress=_part(progress, part, note),
             cancel=cancel,
             show=show,
         )
 
-    def missing_in(found: Match) -> BoolArray:
-        motion, checkpoint = found.solution.displacement, partial(stop_if_cancelled, cancel)
-        return missing_tissue(images, motion, problem.spacing, found.relation, checkpoint)
+    def missing_in(motion: npt.NDArray[np.floating], relation: Relation) -> BoolArray:
+        return missing_tissue(images, motion, problem.spacing, relation, checkpoint)
 
-    region = missing
+    region, begin, relations = missing, start, SIMILARITIES[similarity]
+    found: Match | None = None
+    steps: tuple[Step, ...] = ()
+    done = 0.0
     try:
-        found = matched(first, SIMILARITIES[similarity], (0.0, 1.0 if once else 0.5))
-        if region is None and not compare_all:
-            region = missing_in(found)
+        # Most of the time is spent on the finest level, so missing tissue is searched before it.
+        if searches and start is None and len(schedule(problem.shape)) > 1:
+            found, done = matched(first, relations, (0.0, _ROUGH), finest=False), _ROUGH
+            relations, steps, coarse = (found.relation,), found.history, found.solution
+            begin = interpolated(coarse.displacement, coarse.tissue, problem.shape, checkpoint)
+            motion, region = begin, missing_in(begin, found.relation)
+        if missing is not None or region is None or not region.any():
+            part, done = (done, 1.0 if once else 0.6), 0.6
+            found = matched(first, relations, part, begin=begin)
+            found = found._replace(history=(*steps, *found.history))
+            motion, relations = found.solution.displacement, (found.relation,)
+            if searches:
+                region = missing_in(motion, found.relation)
         if region is not None and region.any():
-            around = around_missing(region, found.solution.displacement, problem.spacing)
+            around = around_missing(region, motion, problem.spacing)
             again = images._replace(counted=(fixed & ~around.fixed, moving & ~around.moving))
-            relation = found.relation
-            del around, found  # frees memory
-            found = matched(again, (relation,), (0.5, 1.0), "without missing tissue: ")
+            del around
+            found = None  # frees memory
+            found = matched(again, relations, (done, 1.0), "without missing tissue: ")
             # Where tissue no longer follows a wrong structure, its edge is found more exactly.
-            if missing is None and (nearer := missing_in(found)).any():
-                region = nearer
+            nearer = missing_in(found.solution.displacement, found.relation) if searches else region
+            region = nearer if nearer.any() else region
     except ProblemError as error:
         if error.field == "confidence":  # no pixel counts on a level
             raise _nothing_in_common("fixed") from None
@@ -284,6 +306,7 @@ def registered(
             f"is {smoothness:g}, so small that tissue has no stiffness beside the images. Pass a "
             "larger number; 1 is usual.",
         ) from None
+    assert found is not None
     return Registration(
         solution=replace(found.solution, notes=(*found.solution.notes, *notes)),
         matrix=matrix,
