@@ -254,7 +254,8 @@ class Uncertainty(Writing, Solving):
         or .tif), and those along each axis beside it, such as sd-row.nii.gz and sd-col.nii.gz for
         sd.nii.gz.
     patch : float
-        Side of a patch, in the unit of the image; by default, 5 % of its longest side.
+        Side of a patch, in the unit of the image; by default, 5 % of its longest side. After a
+        registration, it is 7 pixels, and cannot be chosen.
     samples : int
         Number of random fields from which the standard deviations are estimated, at least 2; 30
         give an accuracy of 13 %.
